@@ -1,0 +1,92 @@
+"""What a fit returns, whatever the model: estimates, how sure they are, and why one is missing or doubtful."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Status(IntEnum):
+    """Why a curve has no value, or a doubtful one. Written into maps and tables; the order is the code."""
+
+    OK = 0
+    OUTSIDE = 1
+    NOT_FINITE = 2
+    NO_SIGNAL = 3
+    AT_BOUND = 4
+    NOT_IDENTIFIABLE = 5
+    NOT_CONVERGED = 6
+
+    @property
+    def meaning(self) -> str:
+        """One sentence for sidecars and reports."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Status.OK: "fitted, inside all bounds",
+    Status.OUTSIDE: "outside the mask, not fitted",
+    Status.NOT_FINITE: "the curve holds NaN or infinite values, not fitted",
+    Status.NO_SIGNAL: "the curve holds no signal above zero, not fitted",
+    Status.AT_BOUND: "fitted, but a parameter ended on a bound: its standard error does not apply",
+    Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine every parameter (standard error above 100 percent)",
+    Status.NOT_CONVERGED: "the fit ended before its tolerance was met",
+}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One fitted or derived quantity over N curves."""
+
+    symbol: str
+    unit: str
+    value: NDArray[np.floating]
+    percent_se: NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A model fitted to N curves of K frames.
+
+    Args:
+        model: model label as BEP023 has it, e.g. "2TCM".
+        estimates: parameters, then macro-parameters; NaN where there is none. percent_se is 100 |se / value|.
+        chi2: weighted residual sum of squares over its degrees of freedom (weights as in `weights`).
+        aicc: small-sample Akaike criterion, n ln(WRSS/n) + 2p + 2p(p+1)/(n-p-1), p counting the variance.
+        status: `Status` codes, uint8.
+        predicted: fitted frame values (N, K) or None where not kept (voxels).
+        weights: frame weights (K,) or (N, K).
+        delay: input delay used, min, and its standard error (NaN when given or not estimated).
+        settings: what was chosen (bounds, fixed values, t_star, ...), for sidecars.
+        remarks: what the data cannot tell, in words.
+    """
+
+    model: str
+    estimates: tuple[Estimate, ...]
+    chi2: NDArray[np.floating]
+    aicc: NDArray[np.floating]
+    status: NDArray[np.uint8]
+    weights: NDArray[np.floating]
+    predicted: NDArray[np.floating] | None = None
+    delay: float = 0.0
+    delay_se: float = float("nan")
+    settings: dict[str, object] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+    def __getitem__(self, symbol: str) -> NDArray[np.floating]:
+        """Estimates of one quantity over the N curves."""
+        for estimate in self.estimates:
+            if estimate.symbol == symbol:
+                return estimate.value
+        raise KeyError(symbol)
+
+    def percent_se(self, symbol: str) -> NDArray[np.floating]:
+        """Percent standard errors of one quantity over the N curves."""
+        return next(e.percent_se for e in self.estimates if e.symbol == symbol)
+
+    def count(self, status: Status) -> int:
+        """How many curves ended with a status."""
+        return int(np.count_nonzero(self.status == status))

@@ -1,0 +1,25 @@
+"""Fixtures shared by all rooms."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+_BESIDE_THE_PROJECT = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of real data and of the common benchmark, kept outside the project (PETKIN_DATA overrides)."""
+    folder = Path(os.environ.get("PETKIN_DATA", _BESIDE_THE_PROJECT))
+    if not folder.is_dir():
+        pytest.skip(f"real data are not part of the project and {folder} is absent; set PETKIN_DATA to run this test")
+    return folder

@@ -32,7 +32,7 @@ _MEANINGS = {
     Status.NOT_FINITE: "the curve holds NaN or infinite values, not fitted",
     Status.NO_SIGNAL: "the curve holds no signal above zero, not fitted",
     Status.AT_BOUND: "fitted, but a parameter ended on a bound: its standard error does not apply",
-    Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine every parameter (standard error above 100 percent)",
+    Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine the outcome: the standard error of VT (or Ki) exceeds 100 percent",
     Status.NOT_CONVERGED: "the fit ended before its tolerance was met",
 }
 

@@ -116,8 +116,8 @@ class FrameObservation:
 
     def _observe(self, curve: Callable[[Tensor], Tensor], cumulative: Callable[[Tensor], Tensor]) -> Tensor:
         if self.mid_frame:
-            return curve(torch.from_numpy(self.frames.mid))
-        start, end = torch.from_numpy(self.frames.start), torch.from_numpy(self.frames.end)
+            return curve(torch.tensor(self.frames.mid))
+        start, end = torch.tensor(self.frames.start), torch.tensor(self.frames.end)
         area = cumulative(end) - cumulative(start)
         if not self.corrected:
             return area / (end - start)
@@ -126,7 +126,7 @@ class FrameObservation:
     @property
     def mean_decay_times_duration(self) -> Float[Tensor, " frames"]:
         """int_k e^{-lam t} dt, min."""
-        start, duration = torch.from_numpy(self.frames.start), torch.from_numpy(self.frames.duration)
+        start, duration = torch.tensor(self.frames.start), torch.tensor(self.frames.duration)
         if self.decay == 0.0:
             return duration
         return torch.exp(-self.decay * start) * -torch.expm1(-self.decay * duration) / self.decay

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from petkin.dynamics import Forcing, Parameter, ParameterSet
 from petkin.imaging import FrameObservation
-from petkin.inputs import InputFunction
+from petkin.inputs.input_function import InputFunction
 
 #: One exponential of the impulse response: (amplitude phi, rate a).
 Exponential = tuple[Any, Any]

@@ -1,0 +1,118 @@
+"""Least squares inside a box of rate constants, for curves whose free optimum lies outside it or with values held fixed.
+
+Projected Levenberg-Marquardt on all curves at once: parameters on a bound that the gradient pushes outwards are held, the
+rest take the damped Gauss-Newton step, clipped to the box (Kanzow, Yamashita & Fukushima 2004, doi:10.1016/j.cam.2004.02.013).
+Started from the free optimum moved into the box and from the best points of a grid over the box.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.dynamics import ParameterSet
+from petkin.fitting.sensitivity import model_jacobian, model_values
+from petkin.fitting.table import Compression
+from petkin.kinetics import CompartmentModel
+
+Array = NDArray[np.float64]
+
+_MAX_STEPS = 200
+_GRID_LEVELS = 6
+#: Below this share of a parameter's range (or its own size) a value counts as on its bound.
+ON_BOUND = 1e-7
+
+
+def fit_in_box(
+    model: CompartmentModel, packed: Compression, z: Array, sizes: Array, start: Array, box: ParameterSet, *, starts: int
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Fit curves inside a box.
+
+    Args:
+        model: compartment model.
+        packed: compressed table; must cover every rate that the box allows.
+        z: compressed curves (R, N).
+        sizes: weighted sums of squares (N,).
+        start: free optimum (N, P), moved into the box here.
+        box: bounds and fixed values.
+        starts: grid points to start from as well.
+
+    Returns:
+        parameters (N, P), costs (N,), converged (N,).
+    """
+    lower, upper = box.lower, box.upper
+    middle = np.broadcast_to(box.start, start.shape)
+    candidates = [np.clip(np.where(np.isfinite(start), start, middle), lower, upper)]
+    if starts:
+        candidates += list(_grid_starts(model, packed, z, box, starts))
+    best = _polish(model, packed, z, sizes, candidates[0], lower, upper)
+    for candidate in candidates[1:]:
+        trial = _polish(model, packed, z, sizes, candidate, lower, upper)
+        better = trial[1] < best[1]
+        best = tuple(np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for new, old in zip(trial, best))
+    return best  # type: ignore[return-value]
+
+
+def _grid_starts(model: CompartmentModel, packed: Compression, z: Array, box: ParameterSet, starts: int) -> Array:
+    """The best `starts` grid points a curve: rates on log levels, K1 and vB by least squares, clipped. (starts, N, P)."""
+    levels = [_levels(lo, hi) for lo, hi in zip(box.lower[1:-1], box.upper[1:-1])]
+    rates = np.array(list(itertools.product(*levels)))
+    ones, zeros = np.ones((len(rates), 1)), np.zeros((len(rates), 1))
+    unit = model_values(model, packed, np.hstack([ones, rates, zeros]))  # (G, R)
+    # The blood moves only along axis 0, so amplitude and blood are solved there in closed form.
+    norm = np.maximum((unit[:, 1:] ** 2).sum(axis=1), 1e-300)
+    amplitude = np.maximum((unit[:, 1:] @ z[1:]) / norm[:, None], 0.0)  # (G, N)
+    blood = (z[0] - amplitude * unit[:, :1]) / max(packed.blood, 1e-300)
+    vB = np.clip(blood, box.lower[-1], min(box.upper[-1], 0.99))
+    K1 = np.clip(amplitude / (1.0 - vB), box.lower[0], box.upper[0])
+    left = ((z[1:, None, :] - (K1 * (1.0 - vB))[None] * unit.T[1:, :, None]) ** 2).sum(axis=0)
+    left += (z[0] - K1 * (1.0 - vB) * unit[:, :1] - vB * packed.blood) ** 2
+    order = np.argsort(left, axis=0, kind="stable")[:starts]
+    columns = np.arange(z.shape[1])
+    return np.stack(
+        [np.column_stack([K1[row, columns], rates[row], vB[row, columns]]) for row in order]
+    )
+
+
+def _levels(lower: float, upper: float) -> Array:
+    if upper <= lower:
+        return np.array([lower])
+    return np.clip(np.geomspace(max(lower, 3e-3 * min(upper, 1.0)), min(upper, 1.0), _GRID_LEVELS), lower, upper)
+
+
+def _polish(
+    model: CompartmentModel, packed: Compression, z: Array, sizes: Array, start: Array, lower: Array, upper: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    theta = start.copy()
+    outside = sizes - (z * z).sum(axis=0)
+    span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    cost = ((z.T - model_values(model, packed, theta)) ** 2).sum(axis=1)
+    damping = np.full(len(theta), 1e-3)
+    active = np.ones(len(theta), bool)
+    for _ in range(_MAX_STEPS):
+        rows = np.flatnonzero(active)
+        if rows.size == 0:
+            break
+        here = theta[rows]
+        values, jacobian = model_jacobian(model, packed, here)
+        residual = z.T[rows] - values
+        gradient = np.einsum("nrp,nr->np", jacobian, residual)
+        held = ((here <= lower + ON_BOUND * span) & (gradient <= 0)) | ((here >= upper - ON_BOUND * span) & (gradient >= 0))
+        jacobian *= ~held[:, None, :]
+        gradient *= ~held
+        normal = np.einsum("nrp,nrq->npq", jacobian, jacobian)
+        scale = np.einsum("npp->np", normal)
+        safe = np.where(scale > 0, scale, 1.0)
+        damped = normal + np.eye(here.shape[1]) * (damping[rows, None] * scale + np.where(scale > 0, 1e-14 * safe, 1.0))[:, :, None]
+        step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], lower, upper) - here
+        expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
+        trial_cost = ((z.T[rows] - model_values(model, packed, here + step)) ** 2).sum(axis=1)
+        better = trial_cost < cost[rows]
+        theta[rows[better]] = (here + step)[better]
+        cost[rows[better]] = trial_cost[better]
+        damping[rows] = np.where(better, np.maximum(damping[rows] * 0.1, 1e-12), np.maximum(damping[rows] * 10.0, 1e-4))
+        small = np.abs(expected) <= 1e-10 * (cost[rows] + np.maximum(outside[rows], 0.0)) + 1e-24 * sizes[rows]
+        active[rows[small | (damping[rows] > 1e10)]] = False
+    return theta, cost + outside, ~active

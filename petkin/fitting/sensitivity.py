@@ -1,0 +1,85 @@
+"""Model values and their derivatives in compressed coordinates, for bounded fits and standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.fitting.table import RATE_OFFSET, Compression
+from petkin.kinetics import CompartmentModel
+
+Array = NDArray[np.float64]
+
+#: Complex step: derivative to rounding, no cancellation (Squire & Trapp 1998, doi:10.1137/S003614459631241X).
+_STEP = 1e-30
+
+
+def derivatives(function: Callable[..., Any], arguments: Array) -> tuple[Array, Array]:
+    """Values and Jacobian of an analytic function of P numbers with Q results, over N points.
+
+    Args:
+        function: takes P arrays, returns Q arrays (or one).
+        arguments: (N, P).
+
+    Returns:
+        values (N, Q) and Jacobian (N, Q, P).
+    """
+    columns = []
+    values = _stack(function(*arguments.T))
+    for p in range(arguments.shape[1]):
+        moved = [column.astype(complex) if i == p else column for i, column in enumerate(arguments.T)]
+        moved[p] = moved[p] + 1j * _STEP
+        columns.append(_stack(function(*moved)).imag / _STEP)
+    return values.real, np.stack(columns, axis=-1)
+
+
+def _stack(results: Any) -> NDArray[Any]:
+    return np.stack(results, axis=-1) if isinstance(results, tuple) else np.asarray(results)[..., None]
+
+
+def read_basis(packed: Compression, rate: Array) -> tuple[Array, Array]:
+    """B(a) and dB/da at rates (N,), each (N, R), by the same Hermite reading as the kernel; rates outside end at the table's ends."""
+    spacing = float(packed.u[1] - packed.u[0])
+    u = np.clip(np.log(rate + RATE_OFFSET), packed.u[0], packed.u[-1])
+    x = (u - packed.u[0]) / spacing
+    i = np.clip(x.astype(np.int64), 0, len(packed.u) - 2)
+    s = (x - i)[:, None]
+    lower, upper = packed.basis[i], packed.basis[i + 1]
+    rise, fall = packed.slope[i] * spacing, packed.slope[i + 1] * spacing
+    value = lower + s * (rise + s * (3 * (upper - lower) - 2 * rise - fall + s * (2 * (lower - upper) + rise + fall)))
+    slope = (rise + s * (2 * (3 * (upper - lower) - 2 * rise - fall) + s * 3 * (2 * (lower - upper) + rise + fall))) / spacing
+    return value, slope / (rate + RATE_OFFSET)[:, None]
+
+
+def model_values(model: CompartmentModel, packed: Compression, parameters: Array) -> Array:
+    """Compressed model curves (N, R) for parameters (N, P)."""
+    vB = parameters[:, -1:]
+    tissue = np.zeros((len(parameters), packed.size))
+    for phi, rate in model.impulse(*parameters[:, :-1].T):
+        tissue += phi[:, None] * read_basis(packed, rate)[0]
+    curves = (1.0 - vB) * tissue
+    curves[:, 0] += parameters[:, -1] * packed.blood
+    return curves
+
+
+def model_jacobian(model: CompartmentModel, packed: Compression, parameters: Array) -> tuple[Array, Array]:
+    """Compressed model curves (N, R) and their Jacobian (N, R, P)."""
+    vB = parameters[:, -1]
+    pairs, chain = derivatives(lambda *k: tuple(v for pair in model.impulse(*k) for v in pair), parameters[:, :-1])
+    jacobian = np.zeros((*pairs.shape[:1], packed.size, parameters.shape[1]))
+    tissue = np.zeros((len(parameters), packed.size))
+    for m in range(pairs.shape[1] // 2):
+        phi, rate = pairs[:, 2 * m], pairs[:, 2 * m + 1]
+        basis, slope = read_basis(packed, rate)
+        tissue += phi[:, None] * basis
+        jacobian[:, :, :-1] += basis[:, :, None] * chain[:, None, 2 * m, :]
+        jacobian[:, :, :-1] += (phi[:, None] * slope)[:, :, None] * chain[:, None, 2 * m + 1, :]
+    jacobian[:, :, :-1] *= (1.0 - vB)[:, None, None]
+    jacobian[:, :, -1] = -tissue
+    jacobian[:, 0, -1] += packed.blood
+    curves = (1.0 - vB)[:, None] * tissue
+    curves[:, 0] += vB * packed.blood
+    return curves, jacobian

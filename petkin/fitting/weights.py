@@ -1,0 +1,34 @@
+"""Frame weights."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.imaging import FrameSchedule
+
+Array = NDArray[np.float64]
+
+#: Share of the peak below which a frame's activity no longer lowers its expected variance (randoms, empty first frames).
+_FLOOR = 0.02
+
+
+def counting_weights(mean_curve: Array, frames: FrameSchedule, decay: float) -> Array:
+    """Inverse variances of decay-corrected frame means under counting noise, up to a common factor, with mean 1.
+
+    var_k ~ C_k e^{lambda t_k} / d_k, hence w_k ~ d_k e^{-lambda t_k} / C_k, with C the mean curve of the measured volume.
+
+    Args:
+        mean_curve: C_k, kBq/mL (K,); frames below 2 % of its peak count as 2 %.
+        frames: schedule, min.
+        decay: lambda, 1/min.
+
+    Returns:
+        weights (K,).
+
+    Reference: Yaqub M et al. Optimization algorithms and weighting factors for analysis of dynamic PET studies.
+    Phys Med Biol 2006;51:4217-4232. doi:10.1088/0031-9155/51/17/007
+    """
+    level = np.maximum(mean_curve, _FLOOR * np.max(mean_curve))
+    weights = frames.duration * np.exp(-decay * frames.mid) / level
+    return weights / weights.mean()

@@ -4,7 +4,7 @@ from petkin.imaging.decay import NUCLIDES, Nuclide, decay_constant, half_life, n
 from petkin.imaging.frames import FrameObservation, FrameSchedule
 from petkin.imaging.noise import CountingNoise, reference_frame
 from petkin.imaging.point_spread import FWHM_PER_SIGMA, blur, gaussian_kernel
-from petkin.imaging.schedules import SCHEDULES, frame_schedule, in_seconds, parse_schedule, read_schedule
+from petkin.imaging.schedules import SCHEDULES, frame_schedule, in_seconds, parse_schedule
 
 __all__ = [
     "FWHM_PER_SIGMA",
@@ -22,6 +22,5 @@ __all__ = [
     "in_seconds",
     "nuclide",
     "parse_schedule",
-    "read_schedule",
     "reference_frame",
 ]

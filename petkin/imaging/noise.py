@@ -62,9 +62,16 @@ class CountingNoise:
         self, values: Float[NDArray, "*b frames"], observation: FrameObservation
     ) -> Float[NDArray, "*b frames"]:
         """sd of frame values, kBq/mL, for noise-free `values` (kBq/mL)."""
-        sharpness = _counts_per_value(observation)
-        alpha2 = (0.01 * self.percent) ** 2 * self.reference * sharpness[reference_frame(observation)]
-        return np.sqrt(alpha2 * np.maximum(values, self.floor_share * self.reference) / sharpness)
+        return self.of_values(values) * self.of_frames(observation)
+
+    def of_frames(self, observation: FrameObservation) -> Float[NDArray, " frames"]:
+        """The frame's factor of the sd, alpha sqrt(g_k / d_k), (kBq/mL)^(1/2)."""
+        counts = _counts_per_value(observation)
+        return 0.01 * self.percent * np.sqrt(self.reference * counts[reference_frame(observation)] / counts)
+
+    def of_values(self, values: Float[NDArray, ...]) -> Float[NDArray, ...]:
+        """The value's factor of the sd, sqrt(max(x, floor)), (kBq/mL)^(1/2)."""
+        return np.sqrt(np.maximum(values, self.floor_share * self.reference))
 
     def frame_common(self, rng: np.random.Generator, frames: int) -> Float[NDArray, " frames"]:
         """sqrt(s) z_k of every frame."""

@@ -1,11 +1,8 @@
-"""Frame schedules by name, by compact text, by count or from a file."""
+"""Frame schedules by name, by compact text or by count."""
 
 from __future__ import annotations
 
-import csv
-import json
 import re
-from pathlib import Path
 
 import numpy as np
 
@@ -22,21 +19,19 @@ SCHEDULES = {
     "interrupted": "8x10,2x20,2x30,2x60,2x150,4x300,gap1800,6x300",
 }
 
+#: What one axis of a NIfTI-1 image holds.
+_MOST_FRAMES = 32767
 _PIECE = re.compile(
     r"^(?:(?P<count>\d+)\s*x\s*(?P<seconds>\d+(?:\.\d+)?)|gap\s*(?P<gap>\d+(?:\.\d+)?))$", re.IGNORECASE
 )
-
-#: Columns (TSV) or fields (JSON) that files use for (start, duration) and (start, end), all in seconds.
-_START_DURATION = (("FrameTimesStart", "FrameDuration"), ("frame_start", "frame_duration"), ("start", "duration"))
-_START_END = (("frame_start", "frame_end"), ("FrameTimesStart", "FrameTimesEnd"), ("start", "end"))
 
 
 def frame_schedule(choice: str | int, *, length: float) -> FrameSchedule:
     """The schedule that an option asks for.
 
     Args:
-        choice: a count (uniform frames over `length`), a name of `SCHEDULES`, compact text such as
-            "12x10,6x20,gap600,5x300" (count x seconds), or a .tsv or .json file.
+        choice: a count (uniform frames over `length`), a name of `SCHEDULES`, or compact text such as
+            "12x10,6x20,gap600,5x300" (count x seconds).
         length: scan length for a count, min.
 
     Raises:
@@ -44,13 +39,11 @@ def frame_schedule(choice: str | int, *, length: float) -> FrameSchedule:
     """
     text = str(choice).strip()
     if text.isdigit():
-        if int(text) == 0:
-            raise InputError("--frames 0: a scan needs at least one frame.")
+        if not 1 <= int(text) <= _MOST_FRAMES:
+            raise InputError(f"--frames {text}: a scan has 1 to {_MOST_FRAMES} frames.")
         return FrameSchedule.uniform(int(text), length / int(text))
     if text in SCHEDULES:
         return parse_schedule(SCHEDULES[text], where=f"frame schedule {text!r}")
-    if Path(text).suffix.lower() in {".tsv", ".json"}:
-        return read_schedule(Path(text))
     if all(_PIECE.match(piece.strip()) for piece in text.split(",")):
         return parse_schedule(text, where=f"frame schedule {text!r}")
     raise InputError(
@@ -74,34 +67,12 @@ def parse_schedule(text: str, *, where: str) -> FrameSchedule:
             clock += float(match["gap"])
             continue
         count, seconds = int(match["count"]), float(match["seconds"])
+        if len(starts) + count > _MOST_FRAMES:
+            raise InputError(f"{where}: more than {_MOST_FRAMES} frames.")
         starts.extend(clock + seconds * np.arange(count))
         durations.extend([seconds] * count)
         clock += count * seconds
     return FrameSchedule.from_seconds(starts, durations, where=where)
-
-
-def read_schedule(path: Path) -> FrameSchedule:
-    """Frames from a table or a PET sidecar, in seconds: start with duration, or start with end.
-
-    Args:
-        path: .tsv with columns frame_start and frame_end (or frame_duration), or .json with FrameTimesStart and
-            FrameDuration.
-
-    Raises:
-        InputError: no such file, no such columns, or frames that cannot be.
-    """
-    columns = _read_columns(path)
-    for names, ends in ((_START_END, True), (_START_DURATION, False)):
-        for start, other in names:
-            if start in columns and other in columns:
-                begun, value = _numbers(columns[start], path, start), _numbers(columns[other], path, other)
-                if begun.size != value.size:
-                    raise InputError(f"{path}: {begun.size} values of {start} but {value.size} of {other}.")
-                return FrameSchedule.from_seconds(begun, value - begun if ends else value, where=str(path))
-    raise InputError(
-        f"{path}: no frame times found among {', '.join(columns) or 'no columns'}; "
-        "give frame_start and frame_end (or frame_duration) in seconds."
-    )
 
 
 def in_seconds(frames: FrameSchedule) -> tuple[list[float], list[float]]:
@@ -109,27 +80,3 @@ def in_seconds(frames: FrameSchedule) -> tuple[list[float], list[float]]:
     start = np.round(frames.start * SECONDS_PER_MINUTE, 6)
     duration = np.round(frames.duration * SECONDS_PER_MINUTE, 6)
     return start.tolist(), duration.tolist()
-
-
-def _read_columns(path: Path) -> dict[str, list[object]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the frame schedule cannot be read ({error}).") from error
-    if path.suffix.lower() == ".json":
-        try:
-            fields = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise InputError(f"{path}: not JSON (line {error.lineno}: {error.msg}).") from error
-        if not isinstance(fields, dict):
-            raise InputError(f"{path}: a JSON object with FrameTimesStart and FrameDuration is due here.")
-        return {name: values for name, values in fields.items() if isinstance(values, list)}
-    rows = list(csv.DictReader(text.splitlines(), delimiter="\t"))
-    return {name: [row[name] for row in rows] for name in (rows[0] if rows else {}) if name is not None}
-
-
-def _numbers(values: list[object], path: Path, name: str) -> np.ndarray:
-    try:
-        return np.array([float(v) for v in values])  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: {name} holds something that is not a number ({error}).") from error

@@ -57,7 +57,9 @@ class Blood(_Strict):
         arrival: min after injection.
         whole_blood_to_plasma: C_B over total plasma.
         parent: share of the plasma activity that is unchanged tracer; all of it where not given.
-        scale_sd: sd of the log of the curve's size between scans.
+        dose: median injected activity, MBq, that the curve belongs to in a subject of 75 kg.
+        dose_sd: sd of the log of the dose between scans; the curve grows with the dose.
+        weight_sd: sd of the log of the body weight between subjects; the curve shrinks with it.
     """
 
     plasma: str
@@ -66,7 +68,9 @@ class Blood(_Strict):
     arrival: NonNegative = 0.0
     whole_blood_to_plasma: Annotated[float, Field(gt=0)] = 1.0
     parent: ParentFraction | None = None
-    scale_sd: NonNegative = 0.0
+    dose: Annotated[float, Field(gt=0)]
+    dose_sd: NonNegative = 0.0
+    weight_sd: NonNegative = 0.0
 
 
 class Spread(_Strict):
@@ -82,7 +86,13 @@ class Spread(_Strict):
 
 
 class Population(_Strict):
-    """Kinetics by tissue, their spread, and the blood."""
+    """A tracer in a population: kinetics by tissue, their spread, and the blood.
+
+    Attributes:
+        model: label of the compartment model that the kinetics belong to.
+        radionuclide: as BIDS spells it.
+        frames: schedule that suits the tracer, as `petkin.imaging.frame_schedule` reads it.
+    """
 
     name: str
     title: str
@@ -90,6 +100,7 @@ class Population(_Strict):
     model: str
     tracer: str
     radionuclide: str
+    frames: str
     blood: Blood
     spread: Spread = Spread()
     kinetics: Annotated[Mapping[str, Mapping[Symbol, NonNegative | Range]], Field(min_length=1)]

@@ -1,0 +1,195 @@
+"""Effects: each changes its stage and nothing else, has the stated sign, and says no to what cannot be."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import quad, solve_ivp
+
+from petkin.effects import EFFECTS, STAGES, Camera, Effect, ForwardModel, Tissue, Vessels, effect_named, read_injection
+from petkin.errors import InputError
+from petkin.imaging import CountingNoise, FrameObservation, frame_schedule
+from petkin.inputs import analytic_input, feng_plasma, paper_plasma
+
+#: Contracted names and stages of the effects that exist so far.
+CONTRACT = {
+    "arterial_delay": "input",
+    "dispersion": "input",
+    "blood_volume": "vascular",
+    "second_tissue": "tissue",
+}
+LAMBDA = math.log(2) / 109.77
+
+
+def column(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+@pytest.fixture
+def one_tissue() -> ForwardModel:
+    plasma = feng_plasma(onset=0.5)
+    return ForwardModel(
+        regions=("grey", "white"),
+        input=analytic_input(plasma),
+        vascular=Vessels(column(0.0, 0.0)),
+        tissue=Tissue("1TCM", {"K1": column(0.12, 0.05), "k2": column(0.1, 0.08)}),
+        imaging=Camera(),
+        clock=FrameObservation(frame_schedule("12x10,6x20,6x30,3x60", length=0), LAMBDA),
+        noise=CountingNoise(0.0),
+    )
+
+
+def frame_means(model: ForwardModel, curve) -> np.ndarray:
+    """Decay-weighted means of a curve by quadrature."""
+    frames = model.clock.frames
+    out = []
+    for start, end in zip(frames.start, frames.end):
+        top = quad(lambda t: curve(t) * math.exp(-LAMBDA * t), start, end, epsabs=1e-12, limit=200, points=[0.5])[0]
+        out.append(top / quad(lambda t: math.exp(-LAMBDA * t), start, end)[0])
+    return np.array(out)
+
+
+def test_names_and_stages_are_the_contracted_ones() -> None:
+    assert {e.name: e.stage for e in EFFECTS} == CONTRACT
+    assert set(STAGES) == {"input", "vascular", "tissue", "imaging", "clock", "noise"}
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_an_effect_changes_its_stage_and_nothing_else(effect: Effect, one_tissue: ForwardModel) -> None:
+    changed = effect.inject(one_tissue)
+    for stage in STAGES:
+        same = getattr(changed, stage) is getattr(one_tissue, stage)
+        assert same == (stage != effect.stage), stage
+    before, after = one_tissue.frame_values(), changed.frame_values()
+    assert after.shape == before.shape
+    assert not torch.allclose(before, after, rtol=1e-3)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_an_effect_is_fully_described(effect: Effect) -> None:
+    assert effect.meaning
+    assert effect.source
+    for parameter in effect.parameters:
+        assert parameter.meaning
+        assert parameter.lower <= parameter.start <= parameter.upper
+        assert math.isfinite(parameter.lower)
+        assert math.isfinite(parameter.upper)
+        assert parameter.start != 0
+
+
+@pytest.mark.parametrize("name", ["arterial_delay", "dispersion", "blood_volume"])
+def test_an_amplitude_of_zero_changes_no_value(name: str, one_tissue: ForwardModel) -> None:
+    effect = effect_named(name)
+    same = effect.inject(one_tissue, {effect.amplitude.symbol: 0.0}).frame_values()
+    torch.testing.assert_close(same, one_tissue.frame_values(), rtol=1e-12, atol=1e-12)
+
+
+def test_delay_makes_the_tissue_late(one_tissue: ForwardModel) -> None:
+    late = effect_named("arterial_delay").inject(one_tissue, {"delay": 12.0})
+    expected = dataclasses.replace(one_tissue, input=analytic_input(feng_plasma(onset=0.5 + 0.2)))
+    torch.testing.assert_close(late.frame_values(), expected.frame_values(), rtol=1e-10, atol=1e-10)
+
+
+def test_dispersion_is_one_exponential_by_quadrature(one_tissue: ForwardModel) -> None:
+    smeared = effect_named("dispersion").inject(one_tissue, {"tau": 6.0}).input
+    plasma, tau = feng_plasma(onset=0.5), 0.1
+    for t in (0.7, 1.0, 3.0, 9.0):
+        expected = quad(
+            lambda s, t=t: math.exp(-(t - s) / tau) / tau * float(plasma(column(s))), 0.5, t, epsabs=1e-10, limit=400
+        )[0]
+        assert float(smeared.plasma(column(t))) == pytest.approx(expected, rel=1e-5)
+        assert float(smeared.whole_blood(column(t))) == pytest.approx(expected, rel=1e-5)
+
+
+def test_dispersion_keeps_the_area() -> None:
+    clock = FrameObservation(frame_schedule("40", length=40.0))
+    base = ForwardModel(
+        ("r",), analytic_input(paper_plasma()), Vessels(column(0.0)),
+        Tissue("1TCM", {"K1": column(0.1), "k2": column(0.1)}), Camera(), clock, CountingNoise(0.0),
+    )  # fmt: skip
+    smeared = effect_named("dispersion").inject(base, {"tau": 5.0})
+    lost = 5 / 60 * float(base.input.plasma(column(40.0)))  # still in the delay line at the end
+    assert smeared.input.area(40.0) == pytest.approx(base.input.area(40.0) - lost, rel=1e-4)
+
+
+def test_blood_volume_is_the_share_of_blood(one_tissue: ForwardModel) -> None:
+    filled = effect_named("blood_volume").inject(one_tissue, {"vB": 0.08})
+    blood = frame_means(one_tissue, lambda t: float(feng_plasma(onset=0.5)(column(t))))
+    expected = 0.92 * one_tissue.frame_values().numpy() + 0.08 * blood
+    np.testing.assert_allclose(filled.frame_values().numpy(), expected, rtol=1e-6, atol=1e-8)
+
+
+def test_second_tissue_is_the_two_tissue_model(one_tissue: ForwardModel) -> None:
+    plasma = feng_plasma(onset=0.5)
+    bound = effect_named("second_tissue").inject(one_tissue, {"k3": 0.06, "k4": 0.02})
+
+    def field(t: float, c: np.ndarray) -> list[float]:
+        return [0.12 * float(plasma(column(t))) - 0.16 * c[0] + 0.02 * c[1], 0.06 * c[0] - 0.02 * c[1]]
+
+    end = float(one_tissue.clock.frames.end[-1])
+    solution = solve_ivp(field, (0.5, end), [0.0, 0.0], rtol=1e-9, atol=1e-9, dense_output=True, max_step=0.25)
+    expected = frame_means(one_tissue, lambda t: float(solution.sol(t).sum()) if t > 0.5 else 0.0)
+    np.testing.assert_allclose(bound.frame_values()[0].numpy(), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_effects_join(one_tissue: ForwardModel) -> None:
+    """Effects of different stages commute."""
+    delay, blood = read_injection("arterial_delay=8"), read_injection("blood_volume=0.04")
+    torch.testing.assert_close(
+        delay.into(blood.into(one_tissue)).frame_values(), blood.into(delay.into(one_tissue)).frame_values()
+    )
+
+
+def test_gradients_pass_through_an_effect(one_tissue: ForwardModel) -> None:
+    K1 = column(0.12, 0.05).requires_grad_()
+    model = dataclasses.replace(one_tissue, tissue=Tissue("1TCM", {**one_tissue.tissue.rates, "K1": K1}))
+    effect_named("arterial_delay").inject(model).frame_values().sum().backward()
+    assert K1.grad is not None
+    assert bool((K1.grad > 0).all())
+
+
+def test_options_name_effects() -> None:
+    assert dict(read_injection("second_tissue=0.07, k4=0.02").values) == {"k3": 0.07, "k4": 0.02}
+    assert dict(read_injection("second_tissue").values) == {"k3": 0.05, "k4": 0.03}
+    assert dict(read_injection("dispersion=7").values) == {"tau": 7.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("delay=3", "There is no effect 'delay'; choose one of arterial_delay"),
+        ("arterial_delay=soon", r"'soon' is not a number; write arterial_delay=VALUE \(s\)"),
+        ("second_tissue=0.05,k9=1", "no parameter 'k9'"),
+        ("second_tissue=0.05,0.02", "no parameter ''"),
+        ("blood_volume=nan", "give a finite number"),
+    ],
+)
+def test_options_that_name_nothing_are_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_injection(text)
+
+
+@pytest.mark.parametrize("text", ["dispersion=-3", "blood_volume=5", "second_tissue=-0.1"])
+def test_impossible_strengths_are_refused(text: str, one_tissue: ForwardModel) -> None:
+    with pytest.raises(InputError):
+        read_injection(text).into(one_tissue)
+
+
+def test_a_second_tissue_beside_a_second_tissue_is_refused(one_tissue: ForwardModel) -> None:
+    twice = effect_named("second_tissue").inject(one_tissue)
+    with pytest.raises(InputError, match="has a second compartment already"):
+        effect_named("second_tissue").inject(twice)
+
+
+def test_an_effect_of_no_stage_cannot_be_made() -> None:
+    with pytest.raises(InputError, match="the stages are input"):
+        dataclasses.replace(EFFECTS[0], stage="weather")
+
+
+def test_missing_rates_are_named(one_tissue: ForwardModel) -> None:
+    with pytest.raises(InputError, match="Model 2TCM needs k3, k4"):
+        dataclasses.replace(one_tissue, tissue=Tissue("2TCM", one_tissue.tissue.rates)).frame_values()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pandas as pd
+import torch
 
 from petkin.dynamics import Forcing, Shifted
+from petkin.inputs.parent_fraction import ParentFractionFit
 
 
 @dataclass(frozen=True)
@@ -19,6 +21,9 @@ class InputFunction:
         end: last time that samples support, min; infinity for a formula.
         samples: the measured points behind it, for reports (columns of the blood table, time in min); may be empty.
         remarks: what was assumed or repaired on the way, one sentence each.
+        total_plasma: plasma activity with its metabolites, kBq/mL, where it is known.
+        parent_fraction: share of the total plasma that is unmetabolised tracer, where it is known.
+        parent_fraction_fit: the fit behind it, for reports; its time is that of the samples, before any delay.
     """
 
     plasma: Forcing
@@ -26,11 +31,23 @@ class InputFunction:
     end: float = float("inf")
     samples: pd.DataFrame = field(default_factory=pd.DataFrame)
     remarks: tuple[str, ...] = ()
+    total_plasma: Forcing | None = None
+    parent_fraction: Forcing | None = None
+    parent_fraction_fit: ParentFractionFit | None = None
 
     def delayed(self, delay: float) -> InputFunction:
         """The same input arriving `delay` minutes later in plasma and whole blood alike."""
         if delay == 0.0:
             return self
-        return InputFunction(
-            Shifted(self.plasma, delay), Shifted(self.whole_blood, delay), self.end + delay, self.samples, self.remarks
+        return replace(
+            self,
+            plasma=Shifted(self.plasma, delay),
+            whole_blood=Shifted(self.whole_blood, delay),
+            end=self.end + delay,
+            total_plasma=None if self.total_plasma is None else Shifted(self.total_plasma, delay),
+            parent_fraction=None if self.parent_fraction is None else Shifted(self.parent_fraction, delay),
         )
+
+    def area(self, until: float) -> float:
+        """Area under C_P from injection to `until` (min), kBq min/mL; of one curve, not of a batch."""
+        return float(self.plasma.integral(torch.tensor([until], dtype=torch.float64)))

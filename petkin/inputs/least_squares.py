@@ -1,0 +1,90 @@
+"""Bounded least squares from many starts, for the small curves that describe blood data."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+#: Starts that are polished, out of the grid.
+_POLISHED = 4
+
+Curve = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """Best parameters of a curve, their standard errors (nan where the data do not determine one), rss and AICc."""
+
+    parameters: NDArray[np.float64]
+    standard_errors: NDArray[np.float64]
+    rss: float
+    aicc: float
+
+
+def aicc(rss: float, samples: int, parameters: int) -> float:
+    """Akaike's criterion with the small-sample term, n ln(rss/n) + 2k + 2k(k+1)/(n-k-1), k counting the variance too.
+
+    Infinite where there are too few samples for the model. Below 1e-12 a sample, rss counts as rounding.
+
+    Reference: Hurvich CM, Tsai CL. Biometrika 1989;76:297-307. doi:10.1093/biomet/76.2.297
+    """
+    k = parameters + 1
+    if samples - k - 1 <= 0:
+        return math.inf
+    return samples * math.log(max(rss / samples, 1e-12)) + 2 * k + 2 * k * (k + 1) / (samples - k - 1)
+
+
+def fit_curve(
+    curve: Curve,
+    times: NDArray[np.float64],
+    values: NDArray[np.float64],
+    *,
+    bounds: Sequence[tuple[float, float]],
+    starts: Sequence[Sequence[float]],
+) -> CurveFit:
+    """Least squares of curve(times, parameters) - values within bounds: a grid of starts, the best few of it polished.
+
+    Args:
+        curve: function of times (samples,) and parameters (parameters,).
+        times: (samples,).
+        values: (samples,).
+        bounds: lower and upper bound of each parameter.
+        starts: values to try for each parameter; their product is the grid.
+
+    Returns:
+        The best of the polished fits.
+    """
+    lower, upper = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
+    grid = [np.clip(np.array(point), lower, upper) for point in itertools.product(*starts)]
+    grid.sort(key=lambda point: float(np.square(curve(times, point) - values).sum()))
+    scale = np.maximum(np.abs(grid[0]), 1e-3)
+    results = [
+        least_squares(
+            lambda p: curve(times, p) - values, start, bounds=(lower, upper), x_scale=scale, xtol=1e-12, ftol=1e-12
+        )
+        for start in grid[:_POLISHED]
+    ]
+    best = min(results, key=lambda result: result.cost)
+    rss = float(2 * best.cost)
+    errors = _standard_errors(best.jac, rss, best.active_mask)
+    return CurveFit(best.x, errors, rss, aicc(rss, times.size, best.x.size))
+
+
+def _standard_errors(jacobian: NDArray[np.float64], rss: float, active: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Linearised standard errors of the parameters that rest on no bound."""
+    errors = np.full(active.size, np.nan)
+    free = active == 0
+    degrees = jacobian.shape[0] - int(free.sum())
+    if degrees <= 0 or not free.any():
+        return errors
+    information = jacobian[:, free].T @ jacobian[:, free]
+    if np.linalg.cond(information) > 1e14:
+        return errors
+    errors[free] = np.sqrt(np.diag(np.linalg.inv(information)) * rss / degrees)
+    return errors

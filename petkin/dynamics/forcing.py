@@ -10,6 +10,7 @@ which is all that an exact solution of a linear compartment system needs. Everyt
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -221,23 +222,40 @@ class ExponentialSum:
 
 @dataclass(frozen=True)
 class Shifted:
-    """u(t - delay): the same forcing, later (delay > 0) or earlier."""
+    """u(t - delay): the same forcing, later (delay > 0) or earlier.
+
+    Args:
+        forcing: u, one forcing (its own batch is empty where `delay` is a batch).
+        delay: time, or a batch of them (delays,): results then have an axis of delays before the one of times.
+    """
 
     forcing: Forcing
-    delay: float
+    delay: float | Float[Tensor, " delays"]
 
     @property
     def knots(self) -> Tensor:
-        return self.forcing.knots + self.delay
+        knots = self.forcing.knots
+        return torch.sort((knots + self._column(knots)).flatten()).values
 
     def __call__(self, t: Tensor) -> Tensor:
-        return self.forcing(t - self.delay)
+        return self._spread(self.forcing, t)
 
     def integral(self, t: Tensor, decay: float = 0.0) -> Tensor:
-        return math.exp(-decay * self.delay) * self.forcing.integral(t - self.delay, decay)
+        return self._sunk(t, decay) * self._spread(lambda s: self.forcing.integral(s, decay), t)
 
     def response(self, rates: Tensor, t: Tensor) -> Tensor:
-        return self.forcing.response(rates, t - self.delay)
+        return self._spread(lambda s: self.forcing.response(rates, s), t)
 
     def response_integral(self, rates: Tensor, t: Tensor, decay: float = 0.0) -> Tensor:
-        return math.exp(-decay * self.delay) * self.forcing.response_integral(rates, t - self.delay, decay)
+        return self._sunk(t, decay) * self._spread(lambda s: self.forcing.response_integral(rates, s, decay), t)
+
+    def _column(self, like: Tensor) -> Tensor:
+        return torch.as_tensor(self.delay, dtype=like.dtype, device=like.device)[..., None]
+
+    def _sunk(self, t: Tensor, decay: float) -> Tensor:
+        return torch.exp(-decay * self._column(t))
+
+    def _spread(self, read: Callable[[Tensor], Tensor], t: Tensor) -> Tensor:
+        shifted = t - self._column(t)
+        values = read(shifted.flatten())
+        return values.reshape(*values.shape[:-1], *shifted.shape)

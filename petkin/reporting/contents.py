@@ -1,0 +1,305 @@
+"""What a fit report holds: plain values that the study layer fills, checked once before anything is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from petkin.errors import InputError
+from petkin.fitting.results import FitResult, Status
+from petkin.imaging import FrameSchedule
+from petkin.inputs.input_function import InputFunction
+
+#: Columns of a blood table that hold activity or a fraction, and the curve that each of them samples.
+_SAMPLED_CURVES = {
+    "AIF": "AIF",
+    "plasma_radioactivity": "total plasma",
+    "whole_blood_radioactivity": "whole blood",
+    "metabolite_parent_fraction": "parent fraction",
+}
+
+
+@dataclass(frozen=True)
+class RegionCurves:
+    """The measured regional curves that every model of a report was fitted to.
+
+    Args:
+        names: region names, R of them.
+        frames: K frames.
+        tacs: frame averages, kBq/mL, [R, K].
+    """
+
+    names: tuple[str, ...]
+    frames: FrameSchedule
+    tacs: NDArray[np.floating]
+
+    def __post_init__(self) -> None:
+        expected = (len(self.names), len(self.frames))
+        if not self.names or np.shape(self.tacs) != expected:
+            raise InputError(
+                f"The report holds {expected[0]} region names and {expected[1]} frames but its curves have shape "
+                f"{np.shape(self.tacs)}; give one row a region and one column a frame."
+            )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class ParameterMap:
+    """One fitted quantity over the voxels.
+
+    Args:
+        symbol: e.g. "VT"; "chi2" for the reduced chi-square.
+        unit: unit of `value`; "" or "1" for none.
+        value: [x, y, z], NaN where there is none.
+        percent_se: standard error in percent of the value, [x, y, z], or None.
+    """
+
+    symbol: str
+    unit: str
+    value: NDArray[np.floating]
+    percent_se: NDArray[np.floating] | None = None
+
+
+@dataclass(frozen=True)
+class MapSet:
+    """The voxel maps of one model.
+
+    Args:
+        maps: one map a quantity.
+        status: `petkin.fitting.results.Status` codes, [x, y, z].
+        voxel_mm: voxel edges along the three array axes, mm.
+        axes: direction of rising index along each array axis, as `nibabel.aff2axcodes` gives it ("RAS", "LPS", ...);
+            empty when it is not known: then planes are named after array axes and no side is marked.
+        settings: what was chosen for the voxels (bounds, fixed values, smoothing, ...).
+        remarks: what the voxel data cannot tell.
+    """
+
+    maps: tuple[ParameterMap, ...]
+    status: NDArray[np.uint8]
+    voxel_mm: tuple[float, float, float]
+    axes: str = ""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.status.ndim != 3:
+            raise InputError(f"The status map of a report has shape {self.status.shape}; it must have three axes.")
+        _check_codes(self.status, "The status map of a report")
+        for entry in self.maps:
+            for volume in (entry.value, entry.percent_se):
+                if volume is not None and volume.shape != self.status.shape:
+                    raise InputError(
+                        f"The {entry.symbol} map has shape {volume.shape} but the status map {self.status.shape}; "
+                        "all maps of a report must share one grid."
+                    )
+        if self.axes and sorted(map("RLAPSI".find, self.axes.upper())) not in _one_of_each():
+            raise InputError(f"Axis directions {self.axes!r} are not three of R/L, A/P and S/I; give e.g. 'RAS'.")
+
+
+def _check_codes(codes: NDArray[np.uint8], where: str) -> None:
+    unknown = sorted({int(c) for c in np.unique(codes)} - {int(s) for s in Status})
+    if unknown:
+        raise InputError(f"{where} holds the code {unknown[0]}, which is no status; use 0 to {max(Status)}.")
+
+
+def _one_of_each() -> list[list[int]]:
+    return [[x, y, z] for x in (0, 1) for y in (2, 3) for z in (4, 5)]
+
+
+@dataclass(frozen=True)
+class TruthRow:
+    """One known value of a simulated study beside its estimate."""
+
+    region: str
+    symbol: str
+    unit: str
+    truth: float
+    estimate: float
+
+    @property
+    def percent_error(self) -> float:
+        """100 (estimate - truth) / |truth|; NaN for a truth of zero."""
+        return 100.0 * (self.estimate - self.truth) / abs(self.truth) if self.truth else float("nan")
+
+
+@dataclass(frozen=True)
+class BloodSamples:
+    """Measured points of one curve of the input function ("AIF", "whole blood", "total plasma" or "parent fraction").
+
+    Args:
+        curve: which curve they sample.
+        time: min.
+        value: kBq/mL, or a fraction.
+    """
+
+    curve: str
+    time: NDArray[np.floating]
+    value: NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class InputCurves:
+    """The input function as the fit used it, before the tissue's own delay.
+
+    Args:
+        time: T times, min.
+        aif: unmetabolised tracer in arterial plasma, kBq/mL, [T].
+        whole_blood: kBq/mL, [T], or None.
+        total_plasma: kBq/mL, [T], or None.
+        parent_fraction: [T], or None.
+        samples: the measured points.
+        end: last time that samples support, min.
+        remarks: what was assumed or repaired.
+    """
+
+    time: NDArray[np.floating]
+    aif: NDArray[np.floating]
+    whole_blood: NDArray[np.floating] | None = None
+    total_plasma: NDArray[np.floating] | None = None
+    parent_fraction: NDArray[np.floating] | None = None
+    samples: tuple[BloodSamples, ...] = ()
+    end: float = float("inf")
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("aif", "whole_blood", "total_plasma", "parent_fraction"):
+            values = getattr(self, name)
+            if values is not None and np.shape(values) != np.shape(self.time):
+                raise InputError(
+                    f"The report's {name} curve has {np.size(values)} values for {np.size(self.time)} times; "
+                    "give one value a time."
+                )
+
+    @classmethod
+    def from_input(
+        cls,
+        source: InputFunction,
+        until: float,
+        *,
+        total_plasma: NDArray[np.floating] | None = None,
+        parent_fraction: NDArray[np.floating] | None = None,
+    ) -> InputCurves:
+        """Evaluate an input function on `curve_times(until)` and take its samples along.
+
+        Args:
+            source: the input function.
+            until: end of the scan, min.
+            total_plasma: kBq/mL on `curve_times(until)`.
+            parent_fraction: on `curve_times(until)`.
+        """
+        time = curve_times(until)
+        t = torch.from_numpy(time)
+        return cls(
+            time=time,
+            aif=source.plasma(t).numpy(),
+            whole_blood=source.whole_blood(t).numpy(),
+            total_plasma=total_plasma,
+            parent_fraction=parent_fraction,
+            samples=_samples_of(source),
+            end=source.end,
+            remarks=source.remarks,
+        )
+
+
+def curve_times(until: float) -> NDArray[np.float64]:
+    """Times (min) that show a bolus and its tail: 0.5 s apart in the first 5 min, 600 steps after them."""
+    early = min(5.0, until)
+    return np.unique(np.concatenate([np.linspace(0.0, early, 601), np.linspace(early, until, 600)]))
+
+
+def _samples_of(source: InputFunction) -> tuple[BloodSamples, ...]:
+    table = source.samples
+    found = []
+    for column in (c for c in _SAMPLED_CURVES if c in table.columns and "time" in table.columns):
+        rows = table[["time", column]].to_numpy(np.float64)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if len(rows):
+            found.append(BloodSamples(_SAMPLED_CURVES[column], rows[:, 0], rows[:, 1]))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class ModelSection:
+    """One model's part of a report.
+
+    Args:
+        model: label, e.g. "2TCM".
+        regional: the fit of the report's regional curves, in their order, or None.
+        maps: voxel maps, or None.
+        truth: known values of a simulated study.
+        equations: the model as lines of plain text.
+        methods: paragraphs of plain text.
+        citations: references as plain text ("Innis RB et al. 2007, doi:...").
+        comparable: False where AICc lives on other data than the frames (graphical methods).
+    """
+
+    model: str
+    regional: FitResult | None = None
+    maps: MapSet | None = None
+    truth: tuple[TruthRow, ...] = ()
+    equations: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    citations: tuple[str, ...] = ()
+    comparable: bool = True
+
+    def __post_init__(self) -> None:
+        if self.regional is None and self.maps is None:
+            raise InputError(f"The report's {self.model} section holds neither a regional fit nor maps; give one.")
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """A whole report; `petkin.reporting.write_fit_report` writes it.
+
+    Args:
+        title: heading.
+        models: one section a model, in the order to show them.
+        regions: the regional curves that every `ModelSection.regional` belongs to.
+        input: the input function.
+        scan: label and value of what is known of the scan (tracer, dose, frames, ...).
+        command_line: what was typed.
+        version: program and version.
+        warnings: what was odd in the data, one sentence each.
+        limits: what these data cannot tell, one sentence each.
+        methods: paragraphs that hold for all models.
+        citations: references that hold for all models.
+        date: shown when given; nothing else in a report depends on the clock.
+    """
+
+    title: str
+    models: tuple[ModelSection, ...]
+    regions: RegionCurves | None = None
+    input: InputCurves | None = None
+    scan: tuple[tuple[str, str], ...] = ()
+    command_line: str = ""
+    version: str = ""
+    warnings: tuple[str, ...] = ()
+    limits: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    citations: tuple[str, ...] = ()
+    date: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.models:
+            raise InputError("The report holds no model; give at least one fitted model.")
+        for section in self.models:
+            if section.regional is not None:
+                _check_regional(section.regional, self.regions)
+
+
+def _check_regional(fit: FitResult, regions: RegionCurves | None) -> None:
+    if regions is None:
+        raise InputError(f"The report holds a regional {fit.model} fit but no regional curves; give `regions`.")
+    if fit.status.shape != (len(regions),):
+        raise InputError(f"The {fit.model} fit has {fit.status.size} curves but the report {len(regions)} regions.")
+    _check_codes(fit.status, f"The status of the {fit.model} fit")
+    if fit.predicted is not None and fit.predicted.shape != regions.tacs.shape:
+        raise InputError(
+            f"The {fit.model} fit predicts shape {fit.predicted.shape} but the curves have {regions.tacs.shape}."
+        )

@@ -1,17 +1,15 @@
 """Reporting: what a fit found, on one page that opens anywhere."""
 
 from petkin.reporting.contents import (
-    BloodSamples,
     FitReport,
-    InputCurves,
     MapSet,
     ModelSection,
     ParameterMap,
     RegionCurves,
     TruthRow,
-    curve_times,
 )
 from petkin.reporting.html import render_fit_report, write_fit_report
+from petkin.reporting.input_curves import BloodSamples, InputCurves, curve_times
 
 __all__ = [
     "BloodSamples",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from petkin.reporting.canvas import Picture, new_figure, picture
-from petkin.reporting.contents import InputCurves
+from petkin.reporting.input_curves import InputCurves
 from petkin.reporting.wording import number
 
 if TYPE_CHECKING:

@@ -1,0 +1,160 @@
+"""Contents of the JSON files that petkin writes beside its results, always with the same fields in the same order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from petkin.io.names import PIPELINE
+
+BIDS_VERSION = "1.10.0"
+#: Units of Innis et al. 2007 (doi:10.1038/sj.jcbfm.9600493) as BEP023 spells them.
+MEASURE_UNITS = {
+    "K1": "mL cm-3 min-1",
+    "Ki": "mL cm-3 min-1",
+    "k2": "min-1",
+    "k3": "min-1",
+    "k4": "min-1",
+    "VB": "unitless",
+    "VT": "mL cm-3",
+    "VND": "mL cm-3",
+    "VS": "mL cm-3",
+    "BPND": "unitless",
+    "BPP": "mL cm-3",
+    "R1": "unitless",
+    "k2prime": "min-1",
+    "delay": "s",
+}
+_DESCRIPTIONS = {
+    "K1": "rate constant from plasma to tissue",
+    "Ki": "net influx rate constant K1 k3 / (k2 + k3)",
+    "k2": "rate constant from tissue to plasma",
+    "k3": "rate constant from the first to the second tissue compartment",
+    "k4": "rate constant from the second to the first tissue compartment",
+    "VB": "fraction of the volume that is blood",
+    "VT": "total distribution volume",
+    "VND": "distribution volume of the non-displaceable compartment",
+    "BPND": "binding potential relative to the non-displaceable compartment",
+    "R1": "K1 over the reference region's K1",
+}
+
+
+def measure_name(symbol: str) -> str:
+    """A symbol as files write it: vB is VB, the others stay."""
+    return "VB" if symbol == "vB" else symbol
+
+
+def dataset_description(version: str, *, name: str, sources: Sequence[str] = ()) -> dict[str, Any]:
+    """dataset_description.json of derivatives/petkin.
+
+    Args:
+        version: petkin's version.
+        name: name of the study that was fitted.
+        sources: where it lies, relative to the derivatives where possible.
+    """
+    return {
+        "Name": f"petkin results of {name}",
+        "BIDSVersion": BIDS_VERSION,
+        "DatasetType": "derivative",
+        "GeneratedBy": [{"Name": PIPELINE, "Version": version}],
+        "SourceDatasets": [{"URL": source} for source in sources],
+    }
+
+
+def raw_description(name: str, version: str) -> dict[str, Any]:
+    """dataset_description.json of a simulated study."""
+    return {
+        "Name": name,
+        "BIDSVersion": BIDS_VERSION,
+        "DatasetType": "raw",
+        "License": "CC0",
+        "GeneratedBy": [{"Name": PIPELINE, "Version": version}],
+    }
+
+
+def provenance(
+    model: str, *, sources: Sequence[str], version: str, command: str, extra: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Fields that maps and tables of a fit share: model, sources, what was chosen, software and command line."""
+    return {
+        "ModelName": model,
+        "Sources": list(sources),
+        **extra,
+        "SoftwareName": PIPELINE,
+        "SoftwareVersion": version,
+        "CommandLine": command,
+    }
+
+
+def map_sidecar(symbol: str, shared: Mapping[str, Any], *, percent_se: bool = False) -> dict[str, Any]:
+    """JSON of a parametric map, or of the map of its standard error in percent."""
+    measure = measure_name(symbol)
+    what = _DESCRIPTIONS.get(measure, measure)
+    return {
+        "Description": f"Standard error of {measure} in percent of its value" if percent_se else f"{measure}: {what}",
+        "Units": "percent" if percent_se else MEASURE_UNITS.get(measure, "unitless"),
+        **shared,
+    }
+
+
+def status_sidecar(meanings: Mapping[int, str], shared: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON of a status map: what each code means."""
+    return {
+        "Description": "Why a voxel has no value, or a doubtful one",
+        "Units": "unitless",
+        "Levels": {str(code): meaning for code, meaning in meanings.items()},
+        **shared,
+    }
+
+
+def kinpar_sidecar(symbols: Sequence[str], meanings: Mapping[int, str], shared: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON of a regional parameter table: one entry a column, then what the fit was.
+
+    Args:
+        symbols: parameters of the table, e.g. K1, k2, vB, VT.
+        meanings: status codes and what they mean.
+        shared: fields of `provenance`.
+    """
+    columns: dict[str, Any] = {
+        "index": {"Description": "label of the region in its segmentation, or its place in the table of curves"},
+        "name": {"Description": "name of the region"},
+    }
+    for measure in map(measure_name, symbols):
+        unit = MEASURE_UNITS.get(measure, "unitless")
+        columns[measure] = {"Description": _DESCRIPTIONS.get(measure, measure), "Units": unit}
+        columns[f"{measure}-se"] = {"Description": f"standard error of {measure}", "Units": "percent"}
+    columns["chi2"] = {"Description": "weighted residual sum of squares over its degrees of freedom"}
+    columns["aicc"] = {"Description": "Akaike criterion for small samples"}
+    levels = {str(code): meaning for code, meaning in meanings.items()}
+    columns["status"] = {"Description": "why a value is missing or doubtful", "Levels": levels}
+    return {"Description": "Kinetic parameters by region", **shared, **columns}
+
+
+def tacs_sidecar(shared: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON of regional curves: kBq/mL, frame means decay-corrected to time zero."""
+    return {
+        "Description": "Regional time-activity curves: mean over the region and frame, decay-corrected to time zero",
+        "Units": "kBq/mL",
+        "ImageDecayCorrected": True,
+        "ImageDecayCorrectionTime": 0,
+        "frame_start": {"Description": "start of the frame from time zero", "Units": "s"},
+        "frame_end": {"Description": "end of the frame from time zero", "Units": "s"},
+        **shared,
+    }
+
+
+def inputfunction_sidecar(shared: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON of an input function."""
+    activity = {"Units": "kBq/mL"}
+    return {
+        "Description": "Arterial input function, decay-corrected to time zero",
+        "time": {"Description": "time from time zero", "Units": "s"},
+        "whole_blood_radioactivity": {"Description": "activity in whole blood", **activity},
+        "plasma_radioactivity": {"Description": "total activity in plasma", **activity},
+        "metabolite_parent_fraction": {
+            "Description": "fraction of the plasma activity that is unchanged tracer",
+            "Units": "unitless",
+        },
+        "AIF": {"Description": "plasma activity of unchanged tracer: plasma times parent fraction", **activity},
+        **shared,
+    }

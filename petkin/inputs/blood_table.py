@@ -17,7 +17,7 @@ PLASMA = "plasma_radioactivity"
 PARENT_FRACTION = "metabolite_parent_fraction"
 AIF = "AIF"
 
-_MEASURED = (WHOLE_BLOOD, PLASMA, PARENT_FRACTION, AIF)
+MEASURED = (WHOLE_BLOOD, PLASMA, PARENT_FRACTION, AIF)
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def checked(table: pd.DataFrame, *, where: str) -> dict[str, Samples]:
     times = _numbers(table, TIME, where)
     _check_times(times, where)
     measured = {}
-    for name in [name for name in _MEASURED if name in table]:
+    for name in [name for name in MEASURED if name in table]:
         values = _numbers(table, name, where)
         present = ~np.isnan(values)
         if not present.any():

@@ -52,8 +52,8 @@ def undispersed(
     """Samples freed from dispersion: g = c + tau dc/dt, at the same times.
 
     The slope is that of a parabola: through each sample and its two neighbours, or least squares over all samples
-    within `half_window`. The values themselves are not smoothed, so the area is kept: it grows by tau (c_last -
-    c_first) alone. Neighbours a time d away multiply the noise by sqrt(1 + tau^2 / (2 d^2)), 2.1 for tau = 2.6 s and d = 1 s. A
+    within `half_window`. The values themselves are not smoothed, so the area is kept: it grows by tau (c_last - c_0)
+    alone. Neighbours a time d away multiply the noise by sqrt(1 + tau^2 / (2 d^2)), 2.1 for tau = 2.6 s and d = 1 s. A
     fit of tissue curves integrates that noise away, while smoothing blunts the peak (Wollenweber et al. 1997 advise
     against it); hence the default.
 

@@ -119,8 +119,8 @@ def fit_parent_fraction(
     Args:
         times: min, ascending, (samples,).
         values: unmetabolised share of plasma activity, 0 to 1, (samples,).
-        model: auto, hill, power, exponential, sigmoid, or interpolated (monotone cubic between samples, f(0) = `start`
-            or 1, the last value held).
+        model: auto, hill, power, exponential, sigmoid, or interpolated (monotone cubic of ln f between samples, f(0)
+            = `start` or 1, the last value held).
         start: f(0), if it is known.
 
     Returns:
@@ -190,7 +190,16 @@ def _fitted(name: str, times: _Array, values: _Array, start: float, *, free: boo
 def _interpolated(times: _Array, values: _Array, start: float) -> ParentFractionFit:
     later = times > 0.0
     knots, levels = np.append(0.0, times[later]), np.append(start, values[later])
-    inner = PchipInterpolator(knots, levels) if knots.size > 1 else (lambda t: np.full_like(t, start))
+    positive = bool(levels.min() > 0)  # the logarithm follows the convex tail, but cannot meet 0
+
+    def curve(t: _Array) -> _Array:
+        if knots.size == 1:
+            return np.full_like(t, start)
+        inside = np.minimum(t, knots[-1])
+        if positive:
+            return np.exp(PchipInterpolator(knots, np.log(levels))(inside))
+        return PchipInterpolator(knots, levels)(inside)
+
     return ParentFractionFit(
         name="interpolated",
         parameters={},
@@ -200,5 +209,5 @@ def _interpolated(times: _Array, values: _Array, start: float) -> ParentFraction
         fitted=values,
         rss=0.0,
         aicc=float("inf"),
-        curve=lambda t: np.asarray(inner(np.minimum(t, knots[-1]))),
+        curve=curve,
     )

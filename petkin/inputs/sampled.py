@@ -8,7 +8,7 @@ import pandas as pd
 from petkin.dynamics import PiecewiseLinear
 from petkin.errors import InputError
 from petkin.inputs.blood_curves import Measured, beside_given_input, measured, plasma_and_blood, plasma_from_blood
-from petkin.inputs.blood_table import AIF, PARENT_FRACTION, TIME, Samples
+from petkin.inputs.blood_table import AIF, MEASURED, PARENT_FRACTION, TIME, Samples
 from petkin.inputs.curves import Curve, through
 from petkin.inputs.input_function import InputFunction
 from petkin.inputs.linearise import piecewise_linear
@@ -37,8 +37,8 @@ def from_blood(
 ) -> InputFunction:
     """An input function from the blood tables of a scan: C_P(t) = total plasma(t) x parent fraction(t).
 
-    Total plasma is measured (manual), or whole blood times the plasma-to-blood ratio of manual samples (autosampler, and
-    manual rows without plasma). `curves.joined` says how the two samplers meet, `curves.through` how samples are
+    Total plasma is measured (manual), or whole blood times the plasma-to-blood ratio of manual samples (autosampler,
+    and manual rows without plasma). `curves.joined` says how the two samplers meet, `curves.through` how samples are
     read between, before and after. An AIF column is taken as C_P as it is. Every choice and repair leaves a remark.
 
     Args:
@@ -143,7 +143,7 @@ def _extensions(curves: dict[str, Curve], scan_end: float | None) -> list[str]:
     ends = sorted({curve.end for curve in curves.values() if curve.end < scan_end - 1e-9})
     return [
         f"Samples of {' and '.join(name for name, curve in curves.items() if curve.end == end)} end at {end:.2f} min, "
-        f"the scan at {scan_end:.2f} min; the exponential through the last of them (or their last value) extends the curve."
+        f"the scan at {scan_end:.2f} min; the exponential through the last of them (or their last value) goes on."
         for end in ends
     ]
 
@@ -156,5 +156,6 @@ def _forcing(curve: Curve, kinks: np.ndarray) -> PiecewiseLinear:
 def _samples(manual: pd.DataFrame, automatic: pd.DataFrame | None) -> pd.DataFrame:
     """Both tables in one, the sampler in a column of its own."""
     parts = {"manual": manual, "autosampler": automatic}
-    tables = [table.assign(sampler=name) for name, table in parts.items() if table is not None]
+    known = [TIME, *MEASURED]
+    tables = [t[[c for c in known if c in t]].assign(sampler=name) for name, t in parts.items() if t is not None]
     return pd.concat(tables, ignore_index=True).sort_values(TIME, kind="stable", ignore_index=True)

@@ -80,7 +80,7 @@ def input_table(input_function: InputFunction, times: ArrayLike) -> pd.DataFrame
         time (min), whole_blood_radioactivity, plasma_radioactivity (total), metabolite_parent_fraction, AIF (kBq/mL);
         nan where the total plasma or the fraction is not known.
     """
-    t = np.asarray(times, dtype=float)
+    t = np.array(times, dtype=float)  # a copy: torch takes no read-only array, which pandas may hand over
     aif = _at(input_function.plasma, t)
     total = np.full_like(t, np.nan) if input_function.total_plasma is None else _at(input_function.total_plasma, t)
     if input_function.parent_fraction is None:

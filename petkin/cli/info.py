@@ -23,8 +23,9 @@ def info(
 ) -> None:
     """Show what a study holds and what is odd about it, without changing anything.
 
-    Remarks are grouped: "severe" makes a number wrong unless it is resolved, "warning" may move one a little, "note" is
-    legal or was converted exactly. A scan that cannot be used is listed as refused, with the reason.
+    Remarks are grouped: "severe" makes a number wrong unless it is resolved; "warning" was converted or assumed, or may
+    move a number a little; "note" is legal and changes nothing. A scan that cannot be used is listed as refused, with
+    the reason.
     """
     from petkin.study.inspect import inspect_study
 
@@ -51,7 +52,8 @@ def _show(overview: StudyOverview) -> None:
         columns = ("scan", "tracer", "frames", "minutes", "image", "blood samples", "regions")
         table = Table(*columns, box=None, pad_edge=False, header_style="bold")
         for scan in overview.scans:
-            table.add_row(*_cells(scan))
+            # a tracer's name may look like rich's markup: [carbonyl-11C]WAY-100635
+            table.add_row(*map(Text, _cells(scan)))
         console.print(table)
     styles = {"severe": "bold red", "warning": "yellow", "note": "dim"}
     for line in overview.refused:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
 from petkin.io.blood import BloodRecord
-from petkin.io.remarks import Remark, note, severe, warning
+from petkin.io.remarks import Remark, severe, warning
 from petkin.units import SECONDS_PER_MINUTE
 
 #: Blood must reach this share of the scan; the last value is held for the rest.
@@ -74,7 +74,7 @@ def against_image_unit(blood: BloodRecord, image_unit: str) -> tuple[Remark, ...
     if not others:
         return ()
     text = f"Blood is in {' and '.join(others)}, the image in {image_unit}; both are converted to kBq/mL."
-    return (note("blood-unit", blood.where, text),)
+    return (warning("blood-unit", blood.where, text),)
 
 
 def complete(blood: BloodRecord) -> tuple[Remark, ...]:

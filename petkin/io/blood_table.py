@@ -135,7 +135,7 @@ def _factor(column: str, stated: Mapping[str, str], where: str) -> float:
 
 def _assumed_units(where: str) -> Remark:
     text = "No JSON and no unit given; times are taken as seconds, activities as kBq/mL."
-    return note("blood-units-assumed", where, text)
+    return warning("blood-units-assumed", where, text)
 
 
 def _check_fraction(columns: _Columns, where: str) -> None:
@@ -176,7 +176,7 @@ def _ascending(columns: _Columns, where: str) -> tuple[_Columns, list[Remark]]:
         order = np.argsort(time)
         return {column: values[order] for column, values in columns.items()}, remarks
     text = f"{time.size - distinct.size} rows repeat a time; their values were averaged."
-    remarks.append(note("blood-repeated", where, text))
+    remarks.append(warning("blood-repeated", where, text))
     joined = {column: _mean_by(values, row_of, distinct.size) for column, values in columns.items()}
     return {**joined, "time": distinct}, remarks
 

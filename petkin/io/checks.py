@@ -35,14 +35,16 @@ def check_sidecar(sidecar: PetSidecar) -> tuple[Remark, ...]:
     return tuple(remark for check in SIDECAR_CHECKS for remark in check(sidecar))
 
 
-def refuse_minutes(frames: FrameSchedule, nuclide: str, *, fields: str) -> None:
+def refuse_minutes(frames: FrameSchedule, nuclide: str | None, *, fields: str) -> None:
     """Refuse frame times that look like minutes where seconds are due.
 
     Raises:
-        InputError: a frame under 1 s, or more than 10 frames within 5 minutes for a nuclide that lives longer.
+        InputError: a frame under 1 s, or more than 10 frames within 5 minutes for a nuclide that lives longer (where
+            it is known).
     """
     shortest, end = frames.duration.min() * SECONDS_PER_MINUTE, frames.end[-1] * SECONDS_PER_MINUTE
-    hurried = len(frames) > _MANY_FRAMES and end < _SHORT_SCAN_S and half_life(nuclide) > _SHORT_LIVED_MIN
+    lives = half_life(nuclide) if nuclide else 0.0
+    hurried = len(frames) > _MANY_FRAMES and end < _SHORT_SCAN_S and lives > _SHORT_LIVED_MIN
     if shortest < 1.0 - 1e-6 or hurried:
         raise InputError(
             f"{frames.where}: {len(frames)} frames end at {end:g} s and the shortest lasts {shortest:g} s, which looks "
@@ -83,7 +85,7 @@ def nuclide_spelling(sidecar: PetSidecar) -> tuple[Remark, ...]:
     if sidecar.tracer_radionuclide == sidecar.nuclide:
         return ()
     text = f"TracerRadionuclide is {sidecar.tracer_radionuclide!r}; read as {sidecar.nuclide}, as BIDS spells it."
-    return (note("nuclide-spelling", sidecar.where, text),)
+    return (warning("nuclide-spelling", sidecar.where, text),)
 
 
 def stated_half_life(sidecar: PetSidecar) -> tuple[Remark, ...]:
@@ -162,7 +164,7 @@ def decay_state(sidecar: PetSidecar) -> tuple[Remark, ...]:
     if not sidecar.image_decay_corrected:
         factor = "lam d / (1 - exp(-lam d)) exp(lam start)"
         text = f"ImageDecayCorrected is false; every frame is multiplied by {factor} to refer to time zero."
-        return (note("decay-multiplied", where, text),)
+        return (warning("decay-multiplied", where, text),)
     if sidecar.decay_correction.strip().upper() == "NONE":
         text = (
             "ImageDecayCorrected is true but DecayCorrection is NONE; taken as corrected: check which of them is right."
@@ -174,7 +176,7 @@ def decay_state(sidecar: PetSidecar) -> tuple[Remark, ...]:
     if time != 0:
         factor = float(sidecar.to_time_zero(sidecar.frames)[0])
         text = f"ImageDecayCorrectionTime is {time:g} s; values are multiplied by {factor:.6g} to refer to time zero."
-        return (note("decay-time", where, text),)
+        return (warning("decay-time", where, text),)
     return ()
 
 
@@ -186,7 +188,7 @@ def clock(sidecar: PetSidecar) -> tuple[Remark, ...]:
     if injected:
         text = f"InjectionStart is {injected:g} s; frames, blood and decay stay on the clock of TimeZero."
         late = injected > sidecar.frames.end[-1] * SECONDS_PER_MINUTE
-        remarks.append((severe if late else note)("injection-start", where, text))
+        remarks.append((severe if late else warning)("injection-start", where, text))
     if started is not None and abs(started - first) > _REFERENCE_TOLERANCE_S:
         text = f"ScanStart is {started:g} s but the first frame starts at {first:g} s; the frame times are used."
         remarks.append(note("scan-start", where, text))
@@ -212,7 +214,7 @@ def frame_gaps(frames: FrameSchedule) -> tuple[Remark, ...]:
         f"Frames leave {where.size} gap(s), {lengths[where].sum():g} s in all, the longest of {lengths[k]:g} s after "
         f"frame {k + 1}; an interrupted scan is legal, nothing is assumed about the counts in between."
     )
-    return (note("frame-gap", frames.where, text),)
+    return (warning("frame-gap", frames.where, text),)
 
 
 SIDECAR_CHECKS: tuple[Callable[[PetSidecar], tuple[Remark, ...]], ...] = (

@@ -7,17 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
-from petkin.errors import InputError
-from petkin.io.checks import refuse_minutes
 from petkin.io.inheritance import inherited
 from petkin.io.labels import Dseg, find_dseg
 from petkin.io.names import PIPELINE, FileName, prefix, scan_folder
 from petkin.io.regions import RegionalCurves, read_tacs, read_volumes
 from petkin.io.remarks import Remark, note, warning
 from petkin.io.sidecar import PetSidecar
-from petkin.units import SECONDS_PER_MINUTE
 
 #: Tables named tacs that hold no curves.
 _NOT_CURVES = {"weights"}
@@ -34,13 +29,13 @@ class Derived:
     remarks: tuple[Remark, ...]
 
 
-def find_derivatives(root: Path, scan: Mapping[str, str], sidecar: PetSidecar | None) -> Derived:
+def find_derivatives(root: Path, scan: Mapping[str, str], sidecar: PetSidecar) -> Derived:
     """Curves, segmentations and input functions of a scan, by its entities. petkin's own curves count only alone.
 
     Args:
         root: the study.
         scan: entities of the scan.
-        sidecar: its `_pet.json`, for units and decay where a table's JSON is silent; None where there is none.
+        sidecar: its `_pet.json`, for units and decay where a table's JSON is silent.
 
     Raises:
         InputError: a table that cannot be used.
@@ -89,41 +84,11 @@ def _without_other_spaces(found: list[Dseg], remarks: list[Remark]) -> list[Dseg
     return [dseg for dseg in found if dseg not in spaced]
 
 
-def _curves(pipeline: Path, path: Path, scan: Mapping[str, str], sidecar: PetSidecar | None) -> RegionalCurves:
-    default = None if sidecar is None else sidecar.units
-    curves, fields = read_tacs(path, sidecars=inherited(pipeline, path, ".json"), default_unit=default)
-    if sidecar is not None:
-        refuse_minutes(curves.frames, sidecar.nuclide, fields="frame_start and frame_end")
-        state = _decay_state(sidecar, fields, path.name)
-        curves = curves.scaled(state.to_time_zero(curves.frames))
-        curves = replace(curves, remarks=(*curves.remarks, *_other_frames(curves, sidecar)))
+def _curves(pipeline: Path, path: Path, scan: Mapping[str, str], sidecar: PetSidecar) -> RegionalCurves:
+    curves, _ = read_tacs(path, sidecars=inherited(pipeline, path, ".json"), image=sidecar)
     for morph in _morph(path, scan, curves.seg):
         curves = replace(curves, volumes=read_volumes(morph, curves.names))
     return curves
-
-
-def _decay_state(sidecar: PetSidecar, fields: Mapping[str, object], where: str) -> PetSidecar:
-    """A table is corrected for decay as its own JSON says, else as the image it was drawn from."""
-    if "ImageDecayCorrected" not in fields:
-        return sidecar
-    corrected, time = fields["ImageDecayCorrected"], fields.get("ImageDecayCorrectionTime", 0)
-    if not isinstance(corrected, bool) or not isinstance(time, int | float):
-        raise InputError(
-            f"{where}: ImageDecayCorrected or ImageDecayCorrectionTime in its JSON is no true/false or number."
-        )
-    return sidecar.model_copy(update={"image_decay_corrected": corrected, "image_decay_correction_time": float(time)})
-
-
-def _other_frames(curves: RegionalCurves, sidecar: PetSidecar) -> tuple[Remark, ...]:
-    mine, theirs = curves.frames, sidecar.frames
-    if len(mine) == len(theirs):
-        off_s = SECONDS_PER_MINUTE * max(np.abs(mine.start - theirs.start).max(), np.abs(mine.end - theirs.end).max())
-        if off_s <= 0.5:
-            return ()
-        text = f"Its frame times differ by up to {off_s:.3g} s from those of {sidecar.where}; the table's are used."
-    else:
-        text = f"It has {len(mine)} frames but {sidecar.where} has {len(theirs)}; the table's are used."
-    return (warning("frames-differ", curves.where, text),)
 
 
 def _morph(path: Path, scan: Mapping[str, str], seg: str) -> list[Path]:

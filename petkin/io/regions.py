@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -15,10 +15,12 @@ from petkin import units
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
 from petkin.io.atomic import write_text
+from petkin.io.checks import refuse_minutes
 from petkin.io.jsonfile import json_text, merge_json
 from petkin.io.names import FileName, sidecar_path
 from petkin.io.remarks import Remark, note, warning
 from petkin.io.schedule import frame_columns
+from petkin.io.sidecar import PetSidecar
 from petkin.io.tables import numbers, read_table, require_columns, write_table
 from petkin.units import SECONDS_PER_MINUTE
 
@@ -59,23 +61,27 @@ class RegionalCurves:
                 f"not {self.values.shape}."
             )
 
-    def scaled(self, factors: NDArray[np.float64]) -> RegionalCurves:
-        """The same curves with each frame multiplied by its factor (K,)."""
-        return self if np.all(factors == 1.0) else replace(self, values=self.values * factors)
-
 
 def read_tacs(
-    path: Path, *, sidecars: Sequence[Path] | None = None, default_unit: str | None = None
+    path: Path,
+    *,
+    sidecars: Sequence[Path] | None = None,
+    default_unit: str | None = None,
+    image: PetSidecar | None = None,
 ) -> tuple[RegionalCurves, dict[str, Any]]:
-    """Curves of a tacs table, and the fields of its JSON.
+    """Curves of a tacs table in kBq/mL decay-corrected to time zero, and the fields of its JSON.
+
+    A table is corrected for decay as its own JSON says, else as the image it was drawn from, else already.
 
     Args:
         path: columns frame_start and frame_end (s), then one a region.
         sidecars: JSON files that apply to it, top first; None looks for one of the same name beside it.
-        default_unit: unit where no JSON states one, e.g. that of the raw image.
+        default_unit: unit where neither a JSON nor `image` states one.
+        image: `_pet.json` of the image that the curves were drawn from.
 
     Raises:
-        InputError: no frame columns, no region, no unit, an empty or overlapping frame, a cell that is not a number.
+        InputError: no frame columns, no region, no unit, an empty or overlapping frame, times in minutes, a cell that
+            is not a number, or curves that are not corrected for decay without `image` to tell the radionuclide.
     """
     where, beside = path.name, path.with_suffix(".json")
     fields = merge_json(sidecars if sidecars is not None else [beside] if beside.is_file() else [])
@@ -85,27 +91,76 @@ def read_tacs(
     names = [str(name) for name in table.columns if name not in used and str(name) not in _NOT_REGIONS]
     if not names:
         raise InputError(f"{where}: no region beside the frame columns; add one column a region.")
-    unit, assumed = _unit(fields, default_unit, where)
+    unit, assumed = _unit(fields, image.units if image else default_unit, where)
     factor = units.kbq_per_ml_factor(unit, where=f"{where}: Units")
     values = np.stack([numbers(table, name, where=where) for name in names]) * factor
-    remarks = (*dropped, *assumed, *_odd_values(names, values, where))
+    remarks = [*dropped, *assumed, *_odd_values(names, values, where)]
+    if image is None:
+        _require_corrected(fields, where)
+    else:
+        refuse_minutes(frames, image.nuclide, fields="frame_start and frame_end")
+        values = values * _decay_state(image, fields, where).to_time_zero(frames)
+        remarks += _other_frames(frames, image, where)
     entities = FileName.parse(path).entities
     curves = RegionalCurves(
-        tuple(names), values, frames, entities.get("seg", ""), entities.get("desc", ""), None, where, remarks, unit
+        tuple(names),
+        values,
+        frames,
+        entities.get("seg", ""),
+        entities.get("desc", ""),
+        None,
+        where,
+        tuple(remarks),
+        unit,
     )
     return curves, fields
+
+
+def _decay(fields: Mapping[str, Any], where: str) -> tuple[bool, float]:
+    corrected, time = fields.get("ImageDecayCorrected", True), fields.get("ImageDecayCorrectionTime", 0)
+    if not isinstance(corrected, bool) or not isinstance(time, int | float):
+        raise InputError(f"{where}: ImageDecayCorrected must be true or false, ImageDecayCorrectionTime a number of s.")
+    return corrected, float(time)
+
+
+def _require_corrected(fields: Mapping[str, Any], where: str) -> None:
+    if _decay(fields, where) != (True, 0.0):
+        raise InputError(
+            f"{where}: its JSON says that it is not decay-corrected to time zero; place it in a PET-BIDS study, whose "
+            "_pet.json names the radionuclide."
+        )
+
+
+def _decay_state(image: PetSidecar, fields: Mapping[str, Any], where: str) -> PetSidecar:
+    if "ImageDecayCorrected" not in fields:
+        return image
+    corrected, time = _decay(fields, where)
+    return image.model_copy(update={"image_decay_corrected": corrected, "image_decay_correction_time": time})
+
+
+def _other_frames(frames: FrameSchedule, image: PetSidecar, where: str) -> list[Remark]:
+    theirs = image.frames
+    if len(frames) == len(theirs):
+        edges = np.stack([frames.start - theirs.start, frames.end - theirs.end])
+        off_s = float(np.abs(edges).max()) * SECONDS_PER_MINUTE
+        if off_s <= 0.5:
+            return []
+        text = f"Its frame times differ by up to {off_s:.3g} s from those of {image.where}; the table's are used."
+    else:
+        text = f"It has {len(frames)} frames but {image.where} has {len(theirs)}; the table's are used."
+    return [warning("frames-differ", where, text)]
 
 
 def _without_zero_rows(table: pd.DataFrame, where: str) -> tuple[pd.DataFrame, list[Remark]]:
     """Leading rows of no duration and no activity are a program's way to say that curves start at zero."""
     start_s, end_s, used = frame_columns(table, where=where)
-    activity = table.drop(columns=used).apply(pd.to_numeric, errors="coerce").fillna(0.0).to_numpy(np.float64)
+    activity = table.drop(columns=list(used)).apply(pd.to_numeric, errors="coerce").fillna(0.0).to_numpy(np.float64)
     empty = (end_s <= start_s) & (activity == 0).all(axis=1)
     leading = int(np.argmin(empty)) if not empty.all() else len(empty)
     if leading == 0:
         return table, []
     text = f"{leading} leading row(s) of no duration hold only zeros; they are no frames and were left out."
-    return table.iloc[leading:].reset_index(drop=True), [note("zero-row", where, text)]
+    return table.iloc[leading:].reset_index(drop=True), [warning("zero-row", where, text)]
 
 
 def _unit(fields: Mapping[str, Any], default: str | None, where: str) -> tuple[str, list[Remark]]:

@@ -19,8 +19,8 @@ class Remark:
     """One thing that is odd in a file, in one sentence.
 
     Args:
-        severity: NOTE (legal, or converted exactly), WARNING (numbers may move a little), SEVERE (a number is wrong
-            unless it is resolved).
+        severity: NOTE (legal, nothing was changed), WARNING (converted or assumed on reading, or a number may move a
+            little), SEVERE (a number is wrong unless it is resolved).
         code: short stable name of the trap, e.g. "dose-mismatch"; remarks of several scans are grouped by it.
         where: file it was seen in.
         text: the sentence, with the value and what was done about it.
@@ -36,12 +36,12 @@ class Remark:
 
 
 def note(code: str, where: str, text: str) -> Remark:
-    """A remark on something legal, or converted exactly."""
+    """A remark on something legal, where nothing was changed."""
     return Remark(Severity.NOTE, code, where, text)
 
 
 def warning(code: str, where: str, text: str) -> Remark:
-    """A remark on something that can move the numbers a little."""
+    """A remark on something that was converted or assumed, or that may move the numbers a little."""
     return Remark(Severity.WARNING, code, where, text)
 
 

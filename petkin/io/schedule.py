@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
+from petkin.io.checks import refuse_minutes
 from petkin.io.jsonfile import read_json
 from petkin.io.tables import numbers, read_table
 
@@ -18,22 +19,37 @@ _ENDS = ("frame_end", "FrameTimesEnd", "end")
 _DURATIONS = ("frame_duration", "FrameDuration", "duration")
 
 
-def read_schedule(path: Path) -> FrameSchedule:
+def read_schedule(path: Path, *, nuclide: str | None = None) -> FrameSchedule:
     """Frames from a TSV (frame_start and frame_end or frame_duration) or a JSON (FrameTimesStart, FrameDuration), in s.
 
+    Args:
+        path: the file. A JSON may be a whole `_pet.json`.
+        nuclide: radionuclide, to tell a short scan of a short-lived one from times in minutes.
+
     Raises:
-        InputError: no such columns or fields, a value that is not a number, overlapping or empty frames.
+        InputError: no such columns or fields, a value that is not a number, overlapping or empty frames, times in
+            minutes, or a JSON that says that the image is not decay-corrected to time zero.
     """
     if path.suffix != ".json":
-        table = read_table(path)
-        start_s, end_s, _ = frame_columns(table, where=path.name)
-        return FrameSchedule.from_seconds(start_s, end_s - start_s, where=path.name)
+        start_s, end_s, (start, end) = frame_columns(read_table(path), where=path.name)
+        frames = FrameSchedule.from_seconds(start_s, end_s - start_s, where=path.name)
+        refuse_minutes(frames, nuclide, fields=f"{start} and {end}")
+        return frames
     fields = read_json(path)
-    start, duration = (_field(fields, name, path.name) for name in ("FrameTimesStart", "FrameDuration"))
-    return FrameSchedule.from_seconds(start, duration, where=path.name)
+    start_s, duration_s = (_field(fields, name, path.name) for name in ("FrameTimesStart", "FrameDuration"))
+    frames = FrameSchedule.from_seconds(start_s, duration_s, where=path.name)
+    refuse_minutes(frames, nuclide, fields="FrameTimesStart and FrameDuration")
+    if fields.get("ImageDecayCorrected", True) is not True or fields.get("ImageDecayCorrectionTime", 0) != 0:
+        raise InputError(
+            f"{path.name}: says that the image is not decay-corrected to time zero; place both in a PET-BIDS study, "
+            "where frames are corrected as they are read."
+        )
+    return frames
 
 
-def frame_columns(table: pd.DataFrame, *, where: str) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
+def frame_columns(
+    table: pd.DataFrame, *, where: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, str]]:
     """Frame starts and ends (s) of a table, and the names of the columns that hold them.
 
     Raises:
@@ -44,13 +60,12 @@ def frame_columns(table: pd.DataFrame, *, where: str) -> tuple[NDArray[np.float6
     if start is None or (end is None and duration is None):
         found = ", ".join(map(str, table.columns[:6]))
         raise InputError(f"{where}: no columns frame_start and frame_end (s); found {found}.")
-    used = [name for name in (start, end, duration) if name is not None]
     start_s = numbers(table, start, where=where)
     end_s = numbers(table, end, where=where) if end else start_s + numbers(table, str(duration), where=where)
     if not (np.isfinite(start_s).all() and np.isfinite(end_s).all()):
         row = int(np.flatnonzero(~np.isfinite(start_s + end_s))[0])
         raise InputError(f"{where}: a frame time is missing in row {row + 1}; every frame needs its start and end.")
-    return start_s, end_s, used
+    return start_s, end_s, (start, end or str(duration))
 
 
 def _first(table: pd.DataFrame, names: tuple[str, ...]) -> str | None:

@@ -78,8 +78,7 @@ def numbers(table: pd.DataFrame, column: str, *, where: str) -> NDArray[np.float
         row = int(wrong[0])
         cell = str(table[column].iloc[row])
         raise InputError(
-            f"{where}: column {column!r}, row {row + 1} holds {cell!r}; use a number, or n/a where "
-            "there is none."
+            f"{where}: column {column!r}, row {row + 1} holds {cell!r}; use a number, or n/a where there is none."
         )
     return values
 

@@ -72,6 +72,12 @@ def test_a_unit_is_needed(tacs_file: Write) -> None:
         read_tacs(tacs_file(fields={"Units": "SUV"}))
 
 
+@pytest.mark.parametrize("state", [{"ImageDecayCorrected": False}, {"ImageDecayCorrectionTime": 30}])
+def test_curves_alone_must_be_decay_corrected(tacs_file: Write, state: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="its JSON says that it is not decay-corrected to time zero"):
+        read_tacs(tacs_file(fields={"Units": "kBq/mL", **state}))
+
+
 def test_missing_empty_and_negative_regions_are_remarked(tacs_file: Write) -> None:
     curves, _ = read_tacs(tacs_file(HEADER + "0\t10\tn/a\t0\n10\t20\t-1\t0\n"))
     assert [remark.code for remark in curves.remarks] == ["region-missing", "region-empty", "region-negative"]

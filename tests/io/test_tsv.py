@@ -97,6 +97,15 @@ def test_schedules_from_json(tmp_path: Path) -> None:
         ({"FrameTimesStart": [0, 10], "FrameDuration": [10]}, "2 values in FrameTimesStart but 1 in FrameDuration"),
         ({"FrameTimesStart": [0, float("nan")], "FrameDuration": [10, 10]}, "not a finite number"),
         ({"FrameTimesStart": [0, 10], "FrameDuration": [10, 0]}, "frame 2 lasts 0 s"),
+        ({"FrameTimesStart": [0, 0.5], "FrameDuration": [0.5, 0.5]}, "looks like minutes"),
+        (
+            {"FrameTimesStart": [0], "FrameDuration": [60], "ImageDecayCorrected": False},
+            "frames.json: says that the image is not decay-corrected to time zero",
+        ),
+        (
+            {"FrameTimesStart": [0], "FrameDuration": [60], "ImageDecayCorrectionTime": 60},
+            "frames.json: says that the image is not decay-corrected to time zero",
+        ),
     ],
 )
 def test_wrong_schedules_are_refused(tmp_path: Path, fields: dict[str, object], message: str) -> None:
@@ -104,6 +113,14 @@ def test_wrong_schedules_are_refused(tmp_path: Path, fields: dict[str, object], 
     path.write_text(json.dumps(fields))
     with pytest.raises(InputError, match=message):
         read_schedule(path)
+
+
+def test_a_table_of_frames_in_minutes_is_refused_where_the_tracer_lives_longer(tmp_path: Path) -> None:
+    path = tmp_path / "frames.tsv"
+    path.write_text("frame_start\tframe_end\n" + "".join(f"{5 * k}\t{5 * k + 5}\n" for k in range(12)))
+    assert len(read_schedule(path, nuclide="O15")) == 12
+    with pytest.raises(InputError, match="looks like minutes; frame_start and frame_end are in seconds"):
+        read_schedule(path, nuclide="F18")
 
 
 def test_input_functions_come_back(tmp_path: Path) -> None:

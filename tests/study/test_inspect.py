@@ -45,7 +45,7 @@ def test_what_is_there_and_what_is_refused(small: Path) -> None:
     assert (scan.manual_samples, scan.automatic_samples, scan.regions) == (0, 0, {})
     assert overview.refused == ("sub-02_pet.json: Units is missing; add it to the sidecar (PET-BIDS requires it).",)
     assert [(finding.severity.value, finding.code) for finding in overview.findings] == [
-        ("note", "nuclide-spelling"),
+        ("warning", "nuclide-spelling"),
         ("note", "no-blood"),
     ]
 

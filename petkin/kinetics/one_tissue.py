@@ -8,11 +8,11 @@ from petkin.dynamics import Parameter, ParameterSet
 from petkin.kinetics.compartment import BLOOD_VOLUME, CompartmentModel, Macro
 
 
-def _impulse(K1, k2):  # noqa: ANN001, ANN202 (plain arithmetic, any number type)
+def _impulse(K1, k2):
     return ((K1, k2),)
 
 
-def _invert(only):  # noqa: ANN001, ANN202
+def _invert(only):
     return only
 
 

@@ -2,7 +2,9 @@
 
 The 2TCM's rates are the roots of a^2 - (k2 + k3 + k4) a + k2 k4 = 0, and both amplitudes are non-negative with sum K1:
 
-    phi_1 = K1 (a1 - k3 - k4) / (a1 - a2),   phi_2 = K1 (k3 + k4 - a2) / (a1 - a2),   a1 >= a2 >= 0.
+    phi_1 = K1 (a1 - k3 - k4) / (a1 - a2),   phi_2 = K1 (k3 + k4 - a2) / (a1 - a2),   a1 >= a2 >= 0,
+
+where both amplitudes together are taken as K1 to the last digit: only so do values and derivatives survive a1 = a2.
 
 Conversely K1 = phi_1 + phi_2, k2 = (phi_1 a1 + phi_2 a2) / K1, k4 = a1 a2 / k2, k3 = a1 + a2 - k2 - k4, so that
 non-negative amplitudes and rates are exactly the non-negative rate constants.
@@ -17,6 +19,8 @@ from petkin.kinetics.compartment import BLOOD_VOLUME, CompartmentModel, Macro
 
 #: Added under the root (1/min^2): keeps its derivative finite where both rates meet, far below rounding elsewhere.
 _ROOT_FLOOR = 1e-18
+#: Added to a rate (1/min) that divides: where nothing leaves the tissue, the limit K1 stands and not 0/0.
+_RATE_FLOOR = 1e-18
 
 _REFERENCE = (
     "Mintun MA et al. Ann Neurol 1984;15:217-227, doi:10.1002/ana.410150302; "
@@ -28,15 +32,16 @@ _k3 = Parameter("k3", "min^-1", 0.05, 0.0, 5.0, meaning="rate into the second co
 _k4 = Parameter("k4", "min^-1", 0.05, 0.0, 5.0, meaning="rate out of the second compartment")
 
 
-def _impulse(K1, k2, k3, k4):  # noqa: ANN001, ANN202 (plain arithmetic, any number type)
+def _impulse(K1, k2, k3, k4):
     total = k2 + k3 + k4
     gap = ((k2 - k4) * (k2 - k4) + k3 * k3 + 2.0 * k3 * (k2 + k4) + _ROOT_FLOOR) ** 0.5  # a1 - a2, without cancellation
     fast = 0.5 * (total + gap)
-    slow = k2 * k4 / fast
-    return (K1 * (fast - k3 - k4) / gap, fast), (K1 * (k3 + k4 - slow) / gap, slow)
+    slow = (k2 * k4 - 0.25 * _ROOT_FLOOR) / fast  # the partner of the floored gap, or derivatives go wrong near gap = 0
+    lasting = 0.5 * K1 * (1.0 + ((k4 - k2) + k3) / gap)
+    return (K1 - lasting, fast), (lasting, slow)
 
 
-def _invert(fast, slow):  # noqa: ANN001, ANN202
+def _invert(fast, slow):
     (phi_1, a1), (phi_2, a2) = fast, slow
     K1 = phi_1 + phi_2
     k2 = (phi_1 * a1 + phi_2 * a2) / K1
@@ -50,12 +55,13 @@ def _field(state: torch.Tensor, plasma: torch.Tensor, rates: torch.Tensor) -> to
     return torch.stack([K1 * plasma - (k2 + k3) * free + k4 * bound, k3 * free - k4 * bound], dim=-1)
 
 
-def _impulse_trapping(K1, k2, k3):  # noqa: ANN001, ANN202
+def _impulse_trapping(K1, k2, k3):
     fast = k2 + k3
-    return (K1 * k2 / fast, fast), (K1 * k3 / fast, 0.0 * fast)
+    lasting = K1 * k3 / (fast + _RATE_FLOOR)
+    return (K1 - lasting, fast), (lasting, 0.0 * fast)
 
 
-def _invert_trapping(fast, trapped):  # noqa: ANN001, ANN202
+def _invert_trapping(fast, trapped):
     (phi_1, a1), (phi_2, _) = fast, trapped
     K1 = phi_1 + phi_2
     return K1, a1 * phi_1 / K1, a1 * phi_2 / K1

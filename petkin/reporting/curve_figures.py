@@ -22,6 +22,7 @@ from petkin.reporting.canvas import (
     square_root_time,
 )
 from petkin.reporting.contents import RegionCurves
+from petkin.reporting.residuals import percent_rms, sign_runs, standardised_residuals
 from petkin.reporting.wording import number, percent, status_short
 
 if TYPE_CHECKING:
@@ -31,20 +32,6 @@ if TYPE_CHECKING:
 #: Residual maps end here; beyond it a misfit is a misfit, however large.
 _RESIDUAL_LIMIT = 4.0
 _SHOWN = 12
-
-
-def standardised_residuals(curves: RegionCurves, fit: FitResult) -> NDArray[np.float64]:
-    """r_k = sqrt(w_k) (y_k - yhat_k) / sqrt(chi2), [R, K]: about N(0, 1) where the model and the weights are right.
-
-    NaN where there is no prediction, no weight or no chi2; 0 where the fit is exact.
-    """
-    if fit.predicted is None:
-        return np.full(curves.tacs.shape, np.nan)
-    weights = np.broadcast_to(np.asarray(fit.weights, np.float64), curves.tacs.shape)
-    raw = np.sqrt(np.maximum(weights, 0)) * (curves.tacs - fit.predicted)
-    chi2 = np.broadcast_to(np.asarray(fit.chi2, np.float64)[:, None], raw.shape)
-    scaled = raw / np.sqrt(np.where(chi2 > 0, chi2, 1.0))
-    return np.where((weights > 0) & np.isfinite(chi2), np.where(chi2 == 0, 0.0, scaled), np.nan)
 
 
 def chosen_regions(fit: FitResult) -> list[int]:
@@ -230,15 +217,12 @@ def _caption(curves: RegionCurves, fit: FitResult, region: int) -> str:
     parts = [] if status == Status.OK else [status_short(status)]
     parts.append(f"χ² {number(float(fit.chi2[region]))}")
     if fit.predicted is not None:
-        rms = _percent_rms(curves.tacs[region], fit.predicted[region])
+        rms = percent_rms(curves.tacs[region], fit.predicted[region])
         parts.append(f"misfit {percent(rms)} of peak (rms)")
+        runs = sign_runs(curves, fit, region)
+        if runs.systematic:
+            parts.append(f"systematic: {runs.found} runs of one sign, {runs.expected:.0f} expected")
     return ", ".join(parts)
-
-
-def _percent_rms(tac: NDArray, predicted: NDArray) -> float:
-    both = np.isfinite(tac) & np.isfinite(predicted)
-    peak = _largest(tac)
-    return 100.0 * float(np.sqrt(np.mean((tac - predicted)[both] ** 2))) / peak if both.any() and peak else float("nan")
 
 
 def _describe(curves: RegionCurves, residuals: NDArray, region: int) -> str:

@@ -19,7 +19,7 @@ from petkin.reporting.input_figures import input_pictures
 from petkin.reporting.map_figures import map_pictures, status_picture
 from petkin.reporting.tables import Table
 from petkin.reporting.verdict import judge
-from petkin.reporting.wording import number
+from petkin.reporting.wording import number, rounded_to_error
 
 #: From this many regions on, one picture of all residuals says more than many small ones.
 _MANY_REGIONS = 4
@@ -48,7 +48,7 @@ def render_fit_report(report: FitReport) -> str:
                 comparison=comparison,
                 comparison_table=tables.comparison_table(comparison, names) if comparison else None,
                 input_pictures=input_pictures(report.input) if report.input is not None else [],
-                models=[_model_view(section, report.regions) for section in report.models],
+                models=[_model_view(section, report) for section in report.models],
                 citations=_citations(report),
             )
         )
@@ -90,7 +90,8 @@ class ModelView:
     limits: tuple[str, ...]
 
 
-def _model_view(section: ModelSection, curves: RegionCurves | None) -> ModelView:
+def _model_view(section: ModelSection, report: FitReport) -> ModelView:
+    curves = report.regions
     regional = _regional_view(curves, section.regional) if curves is not None and section.regional is not None else None
     remarks = section.regional.remarks if section.regional is not None else ()
     if section.maps is not None:
@@ -102,7 +103,7 @@ def _model_view(section: ModelSection, curves: RegionCurves | None) -> ModelView
         truth=tables.truth_table(section.truth) if section.truth else None,
         truth_summary=tables.truth_summary(section.truth) if section.truth else None,
         settings=tables.settings_table(section),
-        limits=remarks,
+        limits=tuple(remark for remark in remarks if remark not in report.limits),
     )
 
 
@@ -133,9 +134,10 @@ def _voxel_view(section: ModelSection) -> VoxelView | None:
 
 def delay_text(fit: FitResult) -> str:
     """The input's delay in minutes and seconds, and where it came from."""
-    if math.isfinite(fit.delay_se):
-        error = number(fit.delay_se, 2), number(60 * fit.delay_se, 2)
-        return f"{number(fit.delay)} ± {error[0]} min ({number(60 * fit.delay)} ± {error[1]} s), estimated"
+    if math.isfinite(fit.delay_se) and fit.delay_se > 0:
+        in_minutes = " ± ".join(rounded_to_error(fit.delay, fit.delay_se))
+        in_seconds = " ± ".join(rounded_to_error(60 * fit.delay, 60 * fit.delay_se))
+        return f"{in_minutes} min ({in_seconds} s), estimated"
     if fit.delay == 0:
         return "none"
     return f"{number(fit.delay)} min ({number(60 * fit.delay)} s), not estimated with an error"

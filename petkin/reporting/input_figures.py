@@ -23,6 +23,8 @@ _LOOKS = {
 }
 _LONG_NAMES = {"AIF": "AIF (parent in plasma)"}
 _DECADES = 4.0
+#: More samples than this come from an autosampler and get small points.
+_DENSE = 60
 
 
 def input_pictures(curves: InputCurves) -> list[Picture]:
@@ -84,14 +86,14 @@ def course_figure(curves: InputCurves) -> Figure:
 
 
 def _log_limits(curves: InputCurves) -> tuple[float, float]:
-    """From 0.3 times the lowest last value (at most four decades below the peak) to 1.5 times the peak."""
+    """From 0.6 times the lowest last value (at most four decades below the peak) to 1.5 times the peak."""
     values = np.concatenate([v for _, v in _activities(curves).values()])
     values = values[np.isfinite(values) & (values > 0)]
     if values.size == 0:
         return 0.1, 1.0
-    low, high = max(float(values.min()), float(values.max()) * 10**-_DECADES), float(values.max())
+    high = float(values.max())
     last = [float(v[-1]) for _, v in _activities(curves).values() if np.isfinite(v[-1]) and v[-1] > 0]
-    return max(low, 0.3 * min(last, default=low)), 1.5 * high
+    return max(0.6 * min(last, default=float(values.min())), high * 10**-_DECADES), 1.5 * high
 
 
 def parent_figure(curves: InputCurves) -> Figure:
@@ -134,7 +136,8 @@ def _draw_activity(ax: Axes, curves: InputCurves) -> None:
     for samples in curves.samples:
         if samples.curve != "parent fraction":
             colour, _, marker = _LOOKS.get(samples.curve, ("#5b6675", "-", "x"))
-            ax.plot(samples.time, samples.value, color=colour, marker=marker, markersize=2.8, linestyle="none")
+            size = 2.8 if samples.time.size <= _DENSE else 1.2
+            ax.plot(samples.time, samples.value, color=colour, marker=marker, markersize=size, linestyle="none")
 
 
 def _describe_parent(curves: InputCurves) -> str:

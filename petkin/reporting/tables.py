@@ -198,7 +198,11 @@ def plain(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float | np.floating):
         return f"{float(value):g}"
-    if isinstance(value, tuple) and len(value) == 2 and all(isinstance(v, int | float | np.number) for v in value):
+    if (
+        isinstance(value, list | tuple)
+        and len(value) == 2
+        and all(isinstance(v, int | float | np.number) for v in value)
+    ):
         return f"{plain(value[0])} to {plain(value[1])}"
     if isinstance(value, list | tuple | np.ndarray):
         return ", ".join(plain(v) for v in value) or "none"

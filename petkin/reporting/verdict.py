@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from petkin.fitting.results import FitResult, Status
 from petkin.reporting.comparison import compare
 from petkin.reporting.contents import FitReport, MapSet, ModelSection, RegionCurves
+from petkin.reporting.residuals import sign_runs
 from petkin.reporting.wording import count, joined, percent, status_kind, status_short
 
-#: Outcome measures in the order of interest; the first two that a model has are quoted.
-_HEADLINE = ("VT", "Ki", "K1", "BPND", "R1")
+#: The first outcome and the first measure of delivery that a model has are quoted.
+_OUTCOMES, _DELIVERY = ("VT", "Ki", "BPND"), ("K1", "R1")
 #: Share of unflagged voxels below which a report without regions asks for care.
 _CALM_SHARE = 0.95
 #: From this many curves on, a share says more than a count alone.
@@ -44,8 +45,10 @@ def judge(report: FitReport) -> Verdict:
 
 
 def headline_symbols(symbols: tuple[str, ...]) -> tuple[str, ...]:
-    """The outcome measures to quote: up to two of VT, Ki, K1, BPND, R1, or else the first that there is."""
-    return tuple(s for s in _HEADLINE if s in symbols)[:2] or symbols[:1]
+    """What to quote: one of VT, Ki, BPND and one of K1, R1, or else the first that there is."""
+    outcome = [s for s in _OUTCOMES if s in symbols][:1]
+    delivery = [s for s in _DELIVERY if s in symbols][:1]
+    return (*outcome, *delivery) or symbols[:1]
 
 
 def status_counts(codes: NDArray[np.uint8]) -> dict[Status, int]:
@@ -81,7 +84,7 @@ def _headline(grade: str, report: FitReport) -> str:
         return "Nothing was flagged."
     warned = {0: "", 1: " One warning below."}.get(len(report.warnings), f" {len(report.warnings)} warnings below.")
     flagged = any(_share_ok(_graded_codes(s)) < 1 for s in report.models)
-    return f"Read with care: {'some fits are flagged.' if flagged else 'the data are odd.'}{warned}"
+    return f"Read with care: {'some fits are flagged' if flagged else 'there is something to know first'}.{warned}"
 
 
 def _sentences(section: ModelSection, regions: RegionCurves | None) -> list[str]:
@@ -89,11 +92,13 @@ def _sentences(section: ModelSection, regions: RegionCurves | None) -> list[str]
     if section.regional is not None:
         fit = section.regional
         sentences.append(f"{section.model}: {_counted(fit.status, 'region')}{_median_errors(_regional_errors(fit))}.")
-        sentences += _named(regions.names if regions is not None else (), fit.status)
+        if regions is not None:
+            sentences += _named(regions.names, fit.status) + _systematic(regions, fit)
     if section.maps is not None:
         label = "" if sentences else f"{section.model}: "
         errors = _median_errors(_voxel_errors(section.maps))
-        sentences.append(f"{label}{_counted(section.maps.status, 'voxel')}{errors}.")
+        counted = _counted(section.maps.status, "voxel")
+        sentences.append(f"{label}{counted if label else counted[:1].upper() + counted[1:]}{errors}.")
     return sentences
 
 
@@ -119,6 +124,14 @@ def _named(names: tuple[str, ...], codes: NDArray[np.uint8]) -> list[str]:
         return []
     more = [f"{len(marked) - _NAMED} more"] if len(marked) > _NAMED else []
     return [f"See {joined(marked[:_NAMED] + more)}."]
+
+
+def _systematic(regions: RegionCurves, fit: FitResult) -> list[str]:
+    """In how many regions the residuals keep their sign longer than chance would."""
+    if fit.predicted is None:
+        return []
+    number = sum(sign_runs(regions, fit, r).systematic for r in range(len(regions)))
+    return [f"Residuals are systematic in {count(number)} of {count(len(regions))} regions."] if number else []
 
 
 def _flagged(counts: dict[Status, int], total: int) -> str:

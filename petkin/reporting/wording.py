@@ -81,10 +81,16 @@ def value_with_error(value: float, percent_se: float) -> tuple[str, str]:
     error = abs(value) * percent_se / 100.0
     if percent_se > 100 or error == 0:
         return number(value, 3), f"± {percent(percent_se)}"
-    decimals = max(1 - math.floor(math.log10(error)), 0)
-    shown = number(value, 4) if decimals > 6 else _signed(f"{value:.{decimals}f}")
-    spread = number(error, 2) if decimals > 6 else f"{error:.{decimals}f}"
+    shown, spread = rounded_to_error(value, error)
     return shown, f"± {spread} ({percent(percent_se)})"
+
+
+def rounded_to_error(value: float, error: float) -> tuple[str, str]:
+    """Both with as many decimals as show two digits of the error (> 0)."""
+    decimals = max(1 - math.floor(math.log10(error)), 0)
+    if decimals > 6:
+        return number(value, 4), number(error, 2)
+    return _signed(f"{value:.{decimals}f}"), f"{error:.{decimals}f}"
 
 
 def _signed(text: str) -> str:

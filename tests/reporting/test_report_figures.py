@@ -12,7 +12,7 @@ from petkin.fitting.results import Status
 from petkin.imaging import FrameSchedule
 from petkin.reporting import InputCurves, MapSet, ParameterMap, RegionCurves
 from petkin.reporting.canvas import drawable, drawing
-from petkin.reporting.curve_figures import CurvePanel, chosen_regions, heat_figure, standardised_residuals
+from petkin.reporting.curve_figures import CurvePanel, chosen_regions, heat_figure
 from petkin.reporting.input_figures import course_figure, early_end, parent_figure, rise_figure
 from petkin.reporting.map_figures import (
     STATUS_COLOURS,
@@ -21,6 +21,7 @@ from petkin.reporting.map_figures import (
     status_figure,
     value_figure,
 )
+from petkin.reporting.residuals import standardised_residuals
 
 
 @pytest.fixture(autouse=True)

@@ -93,6 +93,13 @@ def test_says_what_was_fitted_flagged_warned_and_cannot_be_told(page: _Page) -> 
     assert "AICc prefers 2TCM in 12 of 12 regions." in page.text
 
 
+def test_a_remark_shown_for_the_whole_report_is_not_repeated_by_model() -> None:
+    report = examples.report(1, maps=None)
+    assert report.models[0].regional is not None
+    html = render_fit_report(replace(report, limits=report.models[0].regional.remarks))
+    assert html.count("read VT, not BPND") == 1
+
+
 def test_status_is_told_in_words_not_by_colour_alone(page: _Page) -> None:
     assert "▲ on a bound" in page.text
     assert "✓ fitted" in page.text

@@ -24,8 +24,9 @@ from petkin.reporting import (
 )
 from petkin.reporting.comparison import compare
 from petkin.reporting.html import delay_text
+from petkin.reporting.residuals import sign_runs
 from petkin.reporting.tables import truth_summary, truth_table
-from petkin.reporting.verdict import judge
+from petkin.reporting.verdict import headline_symbols, judge
 
 FRAMES = examples.frames([60, 60])
 WEIGHTS = np.ones(2)
@@ -79,7 +80,10 @@ def test_nothing_usable_is_said_so() -> None:
 
 def test_warnings_alone_ask_for_care() -> None:
     verdict = judge(_report(ModelSection("2TCM", _fit("2TCM", [1])), warnings=("a", "b")))
-    assert (verdict.grade, verdict.headline) == ("care", "Read with care: the data are odd. 2 warnings below.")
+    assert (verdict.grade, verdict.headline) == (
+        "care",
+        "Read with care: there is something to know first. 2 warnings below.",
+    )
 
 
 def test_voxels_are_counted_inside_the_mask_only() -> None:
@@ -139,6 +143,7 @@ def test_truth_is_compared_in_percent() -> None:
 def test_delay_is_told_in_minutes_and_seconds() -> None:
     fit = _fit("2TCM", [1])
     assert delay_text(replace(fit, delay=0.1, delay_se=0.01)) == "0.100 ± 0.010 min (6.00 ± 0.60 s), estimated"
+    assert delay_text(replace(fit, delay=0.002, delay_se=0.0018)) == "0.0020 ± 0.0018 min (0.12 ± 0.11 s), estimated"
     assert delay_text(replace(fit, delay=0.1)) == "0.100 min (6.00 s), not estimated with an error"
     assert delay_text(fit) == "none"
 
@@ -186,3 +191,45 @@ def test_input_curves_come_from_an_input_function_with_its_samples() -> None:
 def test_contents_that_do_not_fit_together_are_refused(make, message: str) -> None:
     with pytest.raises(InputError, match=message):
         make()
+
+
+def _left_over(signs: str) -> tuple[RegionCurves, FitResult]:
+    """A fit of ones whose residuals have these signs."""
+    left = np.array([[0.1 if s == "+" else -0.1 for s in signs]])
+    curves = RegionCurves(("a",), examples.frames([60] * len(signs)), 1 + left)
+    return curves, replace(_fit("1TCM", [1]), predicted=np.ones(left.shape), weights=np.ones(len(signs)))
+
+
+@pytest.mark.parametrize(
+    ("signs", "found", "expected", "systematic"),
+    [
+        # mu = 2 * 10 * 10 / 20 + 1 = 11, sd = sqrt(10 * 9 / 19) = 2.176: 4 runs lie 3.2 sd below, 5 runs 2.8 sd
+        ("+" * 5 + "-" * 5 + "+" * 5 + "-" * 5, 4, 11.0, True),
+        ("+" * 5 + "-" * 5 + "+" * 4 + "-" * 5 + "+", 5, 11.0, False),
+        ("+-" * 10, 20, 11.0, False),
+        ("+" * 20, 1, 1.0, False),
+    ],
+)
+def test_runs_of_one_sign_betray_a_systematic_misfit(signs: str, found: int, expected: float, systematic: bool) -> None:
+    runs = sign_runs(*_left_over(signs), 0)
+    assert (runs.found, runs.expected, runs.systematic) == (found, pytest.approx(expected), systematic)
+
+
+def test_rounding_is_no_systematic_misfit() -> None:
+    curves, fit = _left_over("+" * 10 + "-" * 10)
+    assert sign_runs(curves, fit, 0).systematic
+    assert not sign_runs(replace(curves, tacs=1 + 1e-5 * (curves.tacs - 1)), fit, 0).systematic
+
+
+def test_a_systematic_misfit_is_in_the_verdict() -> None:
+    curves, fit = _left_over("+" * 10 + "-" * 10)
+    assert (
+        "Residuals are systematic in 1 of 1 regions."
+        in judge(FitReport("t", (ModelSection("1TCM", fit),), curves)).sentences[0]
+    )
+
+
+def test_one_outcome_and_one_delivery_are_quoted() -> None:
+    assert headline_symbols(("K1", "k2", "Ki", "VT", "BPND")) == ("VT", "K1")
+    assert headline_symbols(("BPND", "R1")) == ("BPND", "R1")
+    assert headline_symbols(("slope",)) == ("slope",)

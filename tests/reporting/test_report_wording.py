@@ -107,6 +107,7 @@ def test_each_status_has_words_a_kind_and_a_mark() -> None:
 
 def test_settings_are_told_plainly() -> None:
     assert plain({"K1": (0.0, 2.0), "free": ["k2", "k3"]}) == "K1: 0 to 2; free: k2, k3"
+    assert plain([0.001, 5.0]) == "0.001 to 5"
     assert plain(True) == "yes"
     assert plain(None) == "none"
     assert plain(()) == "none"

@@ -1,0 +1,38 @@
+"""The dynamic image of a scene, frame by frame: regions or voxels, point spread, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import NDArray
+
+from petkin.imaging import blur
+from petkin.phantoms import random_stream
+from petkin.study.simulation.planning import Plan
+from petkin.study.simulation.scene import Scene, voxel_values
+
+
+def image_frames(plan: Plan, scene: Scene) -> Iterator[Float[NDArray, "x y z"]]:
+    """Frames in order, kBq/mL; one at a time is in memory."""
+    noise, clock = scene.truth.noise, scene.truth.clock
+    rng = random_stream(plan.settings.seed, "noise", scene.subject, scene.session)
+    common, scale = noise.frame_common(rng, len(clock.frames)), noise.of_frames(clock)
+    size = plan.painted.voxel_size
+    for k, sharp in enumerate(_sharp_frames(plan, scene)):
+        frame = blur(sharp, scene.truth.imaging.point_spread, size)
+        if noise.percent > 0:
+            frame = frame + scale[k] * noise.of_values(frame) * (common[k] + noise.voxel_part(rng, frame.shape, size))
+        yield frame
+
+
+def _sharp_frames(plan: Plan, scene: Scene) -> Iterator[Float[NDArray, "x y z"]]:
+    if scene.voxels is None:
+        for values in scene.truth.frame_values().numpy().T:
+            yield plan.painted.fractions @ values
+        return
+    for values in voxel_values(scene.voxels).T:
+        frame = np.zeros(plan.painted.labels.shape)
+        frame[plan.painted.mask] = values
+        yield frame

@@ -15,12 +15,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
+from numba import njit, prange
 from torch import Tensor
 
 #: Below this spread (p_max - p_min) t the Taylor series is used, above it the recursion; both hold 1e-14 there.
 _SERIES_SPREAD = 1.0
 _SERIES_TERMS = 18
+#: Rows that one thread takes at a time.
+_BLOCK = 512
 
 
 def exp_divided_difference(points: tuple[Tensor | float, ...], t: Tensor) -> Tensor:
@@ -39,8 +43,127 @@ def exp_divided_difference(points: tuple[Tensor | float, ...], t: Tensor) -> Ten
     if len(tensors) == 1:
         return torch.exp(tensors[0] * t)
     stacked = torch.stack(torch.broadcast_tensors(*tensors), dim=-1)
+    if t.device.type == "cpu" and t.dtype == torch.float64:
+        return _Compiled.apply(stacked, t)  # type: ignore[no-any-return]
     ordered = torch.sort(stacked, dim=-1).values
     return _recurse(ordered, t, 0, len(tensors) - 1)
+
+
+class _Compiled(torch.autograd.Function):
+    """The same in compiled code, an order of magnitude faster; its derivatives are divided differences again.
+
+    d/dp_i exp[..., p_i, ...](t) = exp[..., p_i, p_i, ...](t);  d/dt exp[p0, ..., pn](t) = pn exp[p0, ..., pn](t) + exp[p0, ..., p(n-1)](t).
+    """
+
+    @staticmethod
+    def forward(points: Tensor, t: Tensor) -> Tensor:
+        shape = torch.broadcast_shapes(points.shape[:-1], t.shape)
+        rows = points.detach().expand(*shape, points.shape[-1]).reshape(-1, points.shape[-1])
+        times = t.detach().expand(shape).reshape(-1)
+        return torch.from_numpy(divided_differences(rows.numpy(), times.numpy())).reshape(shape)
+
+    @staticmethod
+    def setup_context(ctx, inputs, output) -> None:  # noqa: ANN001
+        points, t = inputs
+        ctx.save_for_backward(points, t, output)
+        ctx.save_for_forward(points, t, output)
+
+    @staticmethod
+    def backward(ctx, *grads: Tensor):  # noqa: ANN001, ANN205
+        (grad,) = grads
+        points, t, value = ctx.saved_tensors
+        by_point = by_time = None
+        if ctx.needs_input_grad[0]:
+            rows = [(grad * _repeated(points, i, t)).sum_to_size(points.shape[:-1]) for i in range(points.shape[-1])]
+            by_point = torch.stack(rows, dim=-1)
+        if ctx.needs_input_grad[1]:
+            by_time = (grad * _rate_of_change(points, t, value)).sum_to_size(t.shape)
+        return by_point, by_time
+
+    @staticmethod
+    def jvp(ctx, *tangents: Tensor | None) -> Tensor:  # noqa: ANN001
+        points, t, value = ctx.saved_tensors
+        by_point, by_time = tangents
+        total = torch.zeros_like(value)
+        if by_point is not None:
+            for i in range(points.shape[-1]):
+                if bool((by_point[..., i] != 0).any()):
+                    total = total + by_point[..., i] * _repeated(points, i, t)
+        if by_time is not None:
+            total = total + by_time * _rate_of_change(points, t, value)
+        return total
+
+
+def _repeated(points: Tensor, i: int, t: Tensor) -> Tensor:
+    return exp_divided_difference((*points.unbind(-1), points[..., i]), t)
+
+
+def _rate_of_change(points: Tensor, t: Tensor, value: Tensor) -> Tensor:
+    *others, last = points.unbind(-1)
+    return last * value + exp_divided_difference(tuple(others), t)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def divided_differences(points, t):  # noqa: ANN001, ANN201
+    """exp[points[n]](t[n]) for every row of points (N, m), float64."""
+    count, m = points.shape
+    answer = np.empty(count)
+    for block in prange((count + _BLOCK - 1) // _BLOCK):
+        p, table, offsets, rows = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+        for n in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
+            for i in range(m):  # insertion sort, ascending
+                value = points[n, i]
+                j = i
+                while j > 0 and p[j - 1] > value:
+                    p[j] = p[j - 1]
+                    j -= 1
+                p[j] = value
+            answer[n] = _one(p, t[n], table, offsets, rows)
+    return answer
+
+
+@njit(cache=True, error_model="numpy")
+def _one(p, t, table, offsets, rows):  # noqa: ANN001, ANN202
+    m = len(p)
+    if (p[m - 1] - p[0]) * t < _SERIES_SPREAD:
+        return _series_of(p, 0, m, t, offsets, rows)
+    for i in range(m):
+        table[i] = np.exp(p[i] * t)
+    for order in range(1, m):
+        for i in range(m - order):
+            gap = p[i + order] - p[i]
+            if gap * t < _SERIES_SPREAD:
+                table[i] = _series_of(p, i, order + 1, t, offsets, rows)
+            else:
+                table[i] = (table[i + 1] - table[i]) / gap
+    return table[0]
+
+
+@njit(cache=True, error_model="numpy")
+def _series_of(p, first, m, t, offsets, rows):  # noqa: ANN001, ANN202
+    """As `_series` over p[first : first + m], ended where further terms no longer count."""
+    centre = 0.0
+    for i in range(m):
+        centre += p[first + i]
+    centre /= m
+    lead = 1.0
+    for i in range(m):
+        offsets[i] = (p[first + i] - centre) * t
+        rows[i] = 1.0
+        if i > 0:
+            lead *= t / i
+    reach = max(offsets[m - 1], -offsets[0])
+    factor = total = bound = 1.0
+    for k in range(1, _SERIES_TERMS):
+        rows[0] *= offsets[0]
+        for i in range(1, m):
+            rows[i] = rows[i - 1] + offsets[i] * rows[i]
+        factor /= m - 1 + k
+        total += rows[m - 1] * factor
+        bound *= reach / k  # h_k <= binomial(m - 1 + k, k) reach^k
+        if bound < 1e-17:
+            break
+    return np.exp(centre * t) * lead * total
 
 
 def _recurse(ordered: Tensor, t: Tensor, first: int, last: int) -> Tensor:

@@ -4,7 +4,7 @@ from petkin.fitting.delay import Delay, estimate_delay
 from petkin.fitting.graphical import GraphicalSettings, fit_logan, fit_patlak
 from petkin.fitting.methods import METHODS, Choices, Method, check_choices, find_method, with_delay
 from petkin.fitting.nonlinear import NonlinearSettings, fit_curves
-from petkin.fitting.results import Estimate, FitResult, Status
+from petkin.fitting.results import Estimate, FitResult, Status, undetermined
 from petkin.fitting.search import REGIONS, VOXELS, Effort
 from petkin.fitting.weights import counting_weights
 
@@ -28,5 +28,6 @@ __all__ = [
     "fit_curves",
     "fit_logan",
     "fit_patlak",
+    "undetermined",
     "with_delay",
 ]

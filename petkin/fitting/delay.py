@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 
 #: Delays looked at, min: arteries at the wrist run late against the brain, sampling lines later still.
 SPAN = (-1.0, 1.5)
-_GRIDS = ((SPAN[1] - SPAN[0]) / 2, 0.05), (0.05, 0.005), (0.005, 0.001)
+_GRIDS = ((SPAN[1] - SPAN[0]) / 2, 0.1), (0.1, 0.02), (0.02, 0.004), (0.004, 0.001)
 #: Cheap and exact enough to rank delays.
-_EFFORT = replace(REGIONS, nodes=64, coarse=32, tolerance=1e-9, refine=False)
+_EFFORT = replace(REGIONS, nodes=48, coarse=24, tolerance=1e-9, refine=False)
 
 
 @dataclass(frozen=True)

@@ -90,3 +90,21 @@ class FitResult:
     def count(self, status: Status) -> int:
         """How many curves ended with a status."""
         return int(np.count_nonzero(self.status == status))
+
+
+def undetermined(result: FitResult) -> tuple[str, ...]:
+    """What the curves do not tell, one sentence a quantity: where standard errors pass 100 percent or values meet a bound."""
+    fitted = np.isin(result.status, (Status.OK, Status.AT_BOUND, Status.NOT_IDENTIFIABLE, Status.NOT_CONVERGED))
+    total = int(fitted.sum())
+    sentences = []
+    for estimate in result.estimates:
+        loose = int(np.count_nonzero(estimate.percent_se[fitted] > 100.0))
+        if loose:
+            sentences.append(
+                f"{result.model}: {estimate.symbol} cannot be told from these data in {loose} of {total} curves "
+                "(standard error above 100 %)."
+            )
+    bound = result.count(Status.AT_BOUND)
+    if bound:
+        sentences.append(f"{result.model}: in {bound} of {total} curves a parameter ended on a bound; it has no error there.")
+    return tuple(sentences)

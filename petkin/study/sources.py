@@ -98,13 +98,12 @@ def _from_study(request: FitRequest) -> tuple[str, Path, tuple[Source, ...]]:
 
 
 def _from_scan(scan: Scan, request: FitRequest, remarks: Sequence[Remark]) -> Source:
-    image = scan.open_image() if scan.image is not None and request.level != "region" else None
     curves = _chosen(scan.curves, request.seg, scan.prefix, "table of curves")
     dseg = find_dseg(request.dseg) if request.dseg else _chosen(scan.dseg, request.seg, scan.prefix, "segmentation")
     if request.tacs:
         curves, _ = read_tacs(request.tacs, default_unit=scan.sidecar.units)
-    if image is None and curves is None and dseg is not None and scan.image is not None:
-        image = scan.open_image()
+    needed = request.level != "region" or (dseg is not None and request.tacs is None)
+    image = scan.open_image() if scan.image is not None and needed else None
     blood = read_blood(request.blood) if request.blood else scan.blood
     frames = scan.frames if image is not None or curves is None else curves.frames
     noticed = tuple(str(r) for r in (*remarks, *scan.remarks) if r.severity != Severity.NOTE)

@@ -1,0 +1,143 @@
+"""`petkin fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_INPUT, _MODEL, _OUTPUT = "What is fitted", "How it is fitted", "Where results go"
+
+
+def fit(
+    target: Annotated[Path, typer.Argument(help="A PET-BIDS study folder, or a 4-D image (.nii, .nii.gz).")],
+    model: Annotated[
+        list[str],
+        typer.Option(
+            "--model", "-m", help="1TCM, 2TCM, 2TCM3k (k4 = 0), Patlak or Logan; repeat it to compare.", rich_help_panel=_MODEL
+        ),
+    ] = ["2TCM"],  # noqa: B006 (typer reads it once)
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the results. Default: derivatives/petkin inside the study.", rich_help_panel=_OUTPUT),
+    ] = None,
+    level: Annotated[str, typer.Option(help="both, region or voxel.", rich_help_panel=_INPUT)] = "both",
+    subject: Annotated[
+        list[str] | None, typer.Option(help="Only this subject (label without sub-); repeatable.", rich_help_panel=_INPUT)
+    ] = None,
+    session: Annotated[list[str] | None, typer.Option(help="Only this session; repeatable.", rich_help_panel=_INPUT)] = None,
+    seg: Annotated[
+        str | None, typer.Option(help="Which segmentation or table of curves, by its seg- label.", rich_help_panel=_INPUT)
+    ] = None,
+    blood: Annotated[
+        Path | None,
+        typer.Option(help="Blood table: time (s), plasma_radioactivity, ... or a ready AIF column.", rich_help_panel=_INPUT),
+    ] = None,
+    frames: Annotated[
+        Path | None, typer.Option(help="Frame times of an image outside BIDS: TSV or JSON, in s.", rich_help_panel=_INPUT)
+    ] = None,
+    isotope: Annotated[
+        str | None, typer.Option(help="Radionuclide of an image outside BIDS, e.g. F18, C11.", rich_help_panel=_INPUT)
+    ] = None,
+    units: Annotated[str, typer.Option(help="Unit of an image outside BIDS.", rich_help_panel=_INPUT)] = "kBq/mL",
+    mask: Annotated[Path | None, typer.Option(help="Voxels to fit: an image that is 1 there.", rich_help_panel=_INPUT)] = None,
+    dseg: Annotated[
+        Path | None, typer.Option(help="Regions: a label image on the image's grid.", rich_help_panel=_INPUT)
+    ] = None,
+    tacs: Annotated[
+        Path | None, typer.Option(help="Regional curves: a table with frame_start, frame_end (s).", rich_help_panel=_INPUT)
+    ] = None,
+    bounds: Annotated[
+        list[str] | None, typer.Option(help="Bounds of a parameter, e.g. K1=0:2; repeatable.", rich_help_panel=_MODEL)
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option(help="Hold a parameter, e.g. vB=0.05; repeatable.", rich_help_panel=_MODEL)
+    ] = None,
+    rates: Annotated[
+        str,
+        typer.Option(
+            help="Interval of the rates of the exponentials, 1/min. A higher lower end steadies VT of noisy voxels.",
+            rich_help_panel=_MODEL,
+        ),
+    ] = "0.001:5",
+    t_star: Annotated[
+        float, typer.Option("--t-star", help="Patlak and Logan use frames after this, min.", rich_help_panel=_MODEL)
+    ] = 30.0,
+    delay: Annotated[
+        str, typer.Option(help="Blood-to-brain delay: estimate (from the whole brain), or seconds.", rich_help_panel=_MODEL)
+    ] = "estimate",
+    weights: Annotated[
+        str, typer.Option(help="counting, constant, or a table with a column 'weight'.", rich_help_panel=_MODEL)
+    ] = "counting",
+    observation: Annotated[
+        str,
+        typer.Option(
+            help="frame: decay-weighted frame mean; plain: time average; mid: mid-frame value.", rich_help_panel=_MODEL
+        ),
+    ] = "frame",
+    parent_fraction: Annotated[
+        str,
+        typer.Option(
+            "--parent-fraction", help="auto, hill, power, exponential, sigmoid, interpolated or none.", rich_help_panel=_MODEL
+        ),
+    ] = "auto",
+    plasma_from: Annotated[
+        str, typer.Option("--plasma-from", help="plasma, or whole_blood where no plasma was measured.", rich_help_panel=_MODEL)
+    ] = "plasma",
+    dispersion: Annotated[
+        float | None,
+        typer.Option(help="Time constant (s) of the autosampler's line; default: what the files state.", rich_help_panel=_MODEL),
+    ] = None,
+) -> None:
+    """Fit kinetic models by voxel and by region; write maps, tables and a report.
+
+    Model curves are compared with the data as frame means, by weighted least squares. Every estimate comes with its
+    percent standard error and a status that says why it is missing or doubtful.
+
+    Examples:
+
+      petkin fit study --model 2TCM
+
+      petkin fit pet.nii.gz --blood blood.tsv --frames frames.json --isotope F18 --mask brain.nii.gz --model 2TCM3k
+    """
+    from petkin.cli.parsing import bounds_by_symbol, delay_in_minutes, interval, numbers_by_symbol, typed_command
+    from petkin.cli.progress import progress_bar
+    from petkin.cli.tell import tell_fits
+    from petkin.fitting import Choices
+    from petkin.study.fit import fit_study
+    from petkin.study.request import FitRequest
+
+    choices = Choices(
+        bounds=bounds_by_symbol(bounds or [], option="--bounds"),
+        fixed=numbers_by_symbol(fix or [], option="--fix"),
+        rate_bounds=interval(rates, option="--rates"),
+        t_star=t_star,
+    )
+    request = FitRequest(
+        target=target,
+        out=out,
+        models=tuple(dict.fromkeys(model)),
+        choices=choices,
+        level=level,
+        subjects=tuple(s.removeprefix("sub-") for s in subject or ()),
+        sessions=tuple(s.removeprefix("ses-") for s in session or ()),
+        seg=seg,
+        blood=blood,
+        frames=frames,
+        mask=mask,
+        dseg=dseg,
+        tacs=tacs,
+        nuclide=isotope,
+        units=units,
+        delay=delay_in_minutes(delay),
+        weights=weights,
+        observation=observation,
+        parent_fraction=parent_fraction,
+        plasma_from=plasma_from,
+        dispersion_s=dispersion,
+        command_line=typed_command(),
+    )
+    with progress_bar() as step:
+        fitted = fit_study(request, step)
+    tell_fits(fitted)

@@ -1,0 +1,59 @@
+"""Small values on the command line, taken apart with one clear line where they are wrong."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+from petkin.errors import InputError
+
+
+def numbers_by_symbol(entries: list[str], *, option: str) -> dict[str, float]:
+    """`vB=0.05` entries as {symbol: number}; files' VB is vB."""
+    return {_symbol(e, option): _number(e.partition("=")[2], e, option) for e in entries}
+
+
+def bounds_by_symbol(entries: list[str], *, option: str) -> dict[str, tuple[float, float]]:
+    """`K1=0:2` entries as {symbol: (lower, upper)}."""
+    found = {}
+    for entry in entries:
+        low, colon, high = entry.partition("=")[2].partition(":")
+        if not colon:
+            raise InputError(f"{option} {entry!r}: give SYMBOL=LOWER:UPPER, e.g. K1=0:2.")
+        found[_symbol(entry, option)] = (_number(low, entry, option), _number(high, entry, option))
+    return found
+
+
+def interval(text: str, *, option: str) -> tuple[float, float]:
+    """`0.001:5` as two numbers."""
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise InputError(f"{option} {text!r}: give LOWER:UPPER, e.g. 0.001:5.")
+    return _number(low, text, option), _number(high, text, option)
+
+
+def delay_in_minutes(text: str) -> str | float:
+    """`estimate`, or seconds as minutes."""
+    return text if text == "estimate" else _number(text, text, "--delay") / 60.0
+
+
+def typed_command() -> str:
+    """The command as typed, without the program's folder."""
+    return " ".join(["petkin", *sys.argv[1:]])
+
+
+def _symbol(entry: str, option: str) -> str:
+    symbol, equals, _ = entry.partition("=")
+    if not equals or not symbol:
+        raise InputError(f"{option} {entry!r}: give SYMBOL=VALUE, e.g. vB=0.05.")
+    return "vB" if symbol == "VB" else symbol
+
+
+def _number(text: str, entry: str, option: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{option} {entry!r}: {text!r} is not a finite number.")
+    return value

@@ -1,0 +1,120 @@
+"""What a fit leaves on disk, named after BEP023."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from petkin import __version__
+from petkin.fitting import FitResult, Status
+from petkin.io import AtomicFolder, json_text, write_input_table, write_map, write_table, write_tacs, write_text
+from petkin.io import descriptions as describe
+from petkin.io import names
+from petkin.study.arterial import sampled_input
+from petkin.study.fit_scan import ScanFit
+from petkin.study.request import FitRequest
+
+_MEANINGS = {int(status): status.meaning for status in Status}
+
+
+def write_scan(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> None:
+    """Write tables, maps and their sidecars of one scan into the staging folder."""
+    scan = fit.source.entities
+    arrived = fit.arterial.delayed(fit.applied[0])
+    _table_with_json(
+        folder,
+        names.inputfunction_path(scan),
+        lambda path: write_input_table(path, sampled_input(arrived, fit.source.frames)),
+        describe.inputfunction_sidecar(_shared("", fit, request)),
+    )
+    if fit.curves is not None:
+        path = names.tacs_path(scan, seg=fit.curves.seg, desc=fit.curves.desc)
+        write_tacs(folder.path(path), fit.curves, describe.tacs_sidecar(_shared("", fit, request)))
+        for result in fit.regional:
+            _write_kinpar(folder, fit, result, request)
+    if fit.voxels is not None:
+        for result in fit.by_voxel:
+            _write_maps(folder, fit, result, request)
+
+
+def write_study_description(folder: AtomicFolder, name: str) -> None:
+    """dataset_description.json of the results."""
+    text = json_text(describe.dataset_description(__version__, name=name, sources=["../.."]))
+    write_text(folder.path("dataset_description.json"), text)
+
+
+def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
+    """index, name, then value and percent standard error of every quantity, chi2, aicc, status."""
+    assert fit.curves is not None  # noqa: S101 (regional results exist only with curves)
+    columns: dict[str, Any] = {"index": np.arange(1, len(fit.curves.names) + 1), "name": list(fit.curves.names)}
+    for estimate in result.estimates:
+        measure = describe.measure_name(estimate.symbol)
+        columns[measure] = estimate.value
+        columns[f"{measure}-se"] = estimate.percent_se
+    return pd.DataFrame({**columns, "chi2": result.chi2, "aicc": result.aicc, "status": result.status.astype(int)})
+
+
+def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
+    assert fit.curves is not None  # noqa: S101
+    path = names.kinpar_path(fit.source.entities, result.model, seg=fit.curves.seg, desc=fit.curves.desc)
+    symbols = [estimate.symbol for estimate in result.estimates]
+    sidecar = describe.kinpar_sidecar(symbols, _MEANINGS, _shared(result.model, fit, request, result))
+    _table_with_json(folder, path, lambda p: write_table(p, kinpar_table(fit, result)), sidecar)
+
+
+def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
+    voxels = fit.voxels
+    assert voxels is not None  # noqa: S101
+    scan, affine = fit.source.entities, voxels.series.affine
+    shared = _shared(result.model, fit, request, result)
+    for estimate in result.estimates:
+        measure = describe.measure_name(estimate.symbol)
+        for values, desc in ((estimate.value, ""), (estimate.percent_se, "se")):
+            path = folder.path(names.map_path(scan, result.model, measure, desc=desc))
+            sidecar = describe.map_sidecar(estimate.symbol, shared, percent_se=bool(desc))
+            write_map(path, voxels.volume(values.astype(np.float32), np.nan), affine, sidecar)
+    chi2 = {"Description": "Weighted residual sum of squares over its degrees of freedom", "Units": "unitless", **shared}
+    write_map(
+        folder.path(names.map_path(scan, result.model, desc="chi2")),
+        voxels.volume(result.chi2.astype(np.float32), np.nan),
+        affine,
+        chi2,
+    )
+    status = voxels.volume(result.status, Status.OUTSIDE)
+    write_map(
+        folder.path(names.map_path(scan, result.model, desc="status")),
+        status,
+        affine,
+        describe.status_sidecar(_MEANINGS, shared),
+    )
+
+
+def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | None = None) -> dict[str, Any]:
+    """Fields that all sidecars of a scan have: model, settings, delay, weights, software."""
+    delay, se = fit.applied
+    extra: dict[str, Any] = {
+        "InputDelay": round(delay * 60.0, 6),
+        "InputDelayUnits": "s",
+        "InputDelaySE": None if np.isnan(se) else round(se * 60.0, 6),
+        "Observation": request.observation,
+    }
+    if result is not None:
+        fixed = result.settings.get("fixed", {})
+        extra |= {
+            "InputValuesLabels": [describe.measure_name(s) for s in fixed],
+            "InputValues": list(fixed.values()),
+            "InputValuesUnits": [describe.MEASURE_UNITS.get(describe.measure_name(s), "unitless") for s in fixed],
+            "Settings": {k: v for k, v in result.settings.items() if k != "fixed"},
+            "Weights": fit.how_weighted,
+        }
+    return describe.provenance(
+        model, sources=fit.source.files, version=__version__, command=request.command_line, extra=extra
+    )
+
+
+def _table_with_json(folder: AtomicFolder, path: PurePosixPath, write: Any, sidecar: dict[str, Any]) -> None:
+    write(folder.path(path))
+    write_text(folder.path(names.sidecar_path(path)), json_text(sidecar))

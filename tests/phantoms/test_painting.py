@@ -1,6 +1,7 @@
 """Phantoms on grids: every region at every voxel size, volumes that do not depend on it, clear errors."""
 
 import math
+import shutil
 from pathlib import Path
 
 import nibabel as nib
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from petkin.errors import InputError
-from petkin.phantoms import Phantom, paint, phantom_names, phantom_with, read_phantom
+from petkin.phantoms import Phantom, catalogue_folder, paint, phantom_names, phantom_with, read_phantom, reading
 
 PAPER_REGIONS = ["grey", "white", "caudate-putamen", "cerebellum", "lesion"]
 
@@ -161,3 +162,15 @@ def test_unknown_phantoms_name_the_known_ones() -> None:
         phantom_with(7)
     with pytest.raises(InputError, match=r"none\.toml: the phantom cannot be read"):
         read_phantom("none.toml")
+
+
+def test_an_installed_package_reads_its_own_copy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    packaged = tmp_path / "catalogue"
+    shutil.copytree(catalogue_folder(), packaged)
+    monkeypatch.setattr(reading, "_PACKAGED", packaged)
+    monkeypatch.setattr(reading, "_IN_REPOSITORY", tmp_path / "nowhere")
+    assert catalogue_folder() == packaged
+    assert len(read_phantom("brain3d").regions) == 16
+    monkeypatch.setattr(reading, "_PACKAGED", tmp_path / "nowhere")
+    with pytest.raises(InputError, match="own phantoms are missing"):
+        read_phantom("brain3d")

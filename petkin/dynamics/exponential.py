@@ -89,7 +89,7 @@ class _Compiled(torch.autograd.Function):
             for i in range(points.shape[-1]):
                 if bool((by_point[..., i] != 0).any()):
                     total = total + by_point[..., i] * _repeated(points, i, t)
-        if by_time is not None:
+        if by_time is not None and bool((by_time != 0).any()):
             total = total + by_time * _rate_of_change(points, t, value)
         return total
 

@@ -19,12 +19,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from petkin.dynamics.exponential import exp_divided_difference
+from petkin.dynamics.recurrence import linear_recurrence
 from petkin.errors import InputError
 
 
 @runtime_checkable
 class Forcing(Protocol):
-    """An outside input u(t), zero before its onset. Shapes: `*b` the batch of the forcing, `*r` of the rates, broadcast."""
+    """An outside input u(t), zero before its onset; integrals and responses start there if it lies before time 0.
+
+    Shapes: `*b` the batch of the forcing, `*r` of the rates, `*rb` both broadcast.
+    """
 
     @property
     def knots(self) -> Float[Tensor, " knots"]:
@@ -52,7 +56,7 @@ class Forcing(Protocol):
 
 @dataclass(frozen=True)
 class PiecewiseLinear:
-    """u(t) linear between knots, zero before the first and held at the last value after the last. A jump is a doubled knot.
+    """u(t) linear between knots, zero before the first, held at the last value after the last. A doubled knot jumps.
 
     Args:
         times: knots, ascending (equal neighbours make a jump).
@@ -129,18 +133,12 @@ class PiecewiseLinear:
         return level * constant + slope * exp_divided_difference((0.0, 0.0, -a), elapsed)
 
     def _at_knots(self, a: Tensor) -> Tensor:
-        """y at every knot, from y_{i+1} = e^{-a d_i} y_i + fresh_i by a doubling scan (stable: all factors are <= 1)."""
-        factor = torch.exp(-a * self._steps)
-        value = self._fresh(a, self._steps, slice(None, -1))
-        factor = factor.expand(value.shape)
-        span = 1
-        while span < value.shape[-1]:
-            value = torch.cat([value[..., :span], value[..., span:] + factor[..., span:] * value[..., :-span]], dim=-1)
-            factor = torch.cat([factor[..., :span], factor[..., span:] * factor[..., :-span]], dim=-1)
-            span *= 2
-        return torch.cat([torch.zeros_like((a * self.values)[..., :1]), value], dim=-1)
+        """y at every knot, y_{i+1} = e^{-a d_i} y_i + fresh_i (stable: all factors are <= 1)."""
+        return linear_recurrence(torch.exp(-a * self._steps), self._fresh(a, self._steps, slice(None, -1)))
 
-    def _response_integrals(self, a: Tensor, start: Tensor, elapsed: Tensor, at: Tensor | slice, decay: float) -> Tensor:
+    def _response_integrals(
+        self, a: Tensor, start: Tensor, elapsed: Tensor, at: Tensor | slice, decay: float
+    ) -> Tensor:
         """int_0^elapsed e^{-decay s} y(s) ds inside pieces that begin at y = start."""
         level, slope = self.values[..., at], self._slopes[..., at]
         sunk = -(a + decay)
@@ -159,7 +157,7 @@ class _Piece:
 
 
 def _running(pieces: Tensor) -> Tensor:
-    return torch.cat([torch.zeros_like(pieces[..., :1]), torch.cumsum(pieces, dim=-1)], dim=-1)
+    return torch.cat([pieces.new_zeros(*pieces.shape[:-1], 1), torch.cumsum(pieces, dim=-1)], dim=-1)
 
 
 @dataclass(frozen=True)

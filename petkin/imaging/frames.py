@@ -118,7 +118,8 @@ class FrameObservation:
         if self.mid_frame:
             return curve(torch.tensor(self.frames.mid))
         start, end = torch.tensor(self.frames.start), torch.tensor(self.frames.end)
-        area = cumulative(end) - cumulative(start)
+        both = cumulative(torch.cat([start, end]))
+        area = both[..., len(start) :] - both[..., : len(start)]
         if not self.corrected:
             return area / (end - start)
         return area / self.mean_decay_times_duration

@@ -26,7 +26,7 @@ from petkin.errors import NumericalError
 
 #: Looks at the guards in one leg: a dip below zero and back that lasts less than a share 1/_LOOKS may be missed.
 _LOOKS = 8
-_BISECTIONS = 12
+_BISECTIONS = 6
 _NEWTON_STEPS = 40
 #: More hits in one leg than this are taken for endless ones.
 _MOST_HITS = 100

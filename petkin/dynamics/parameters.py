@@ -80,7 +80,7 @@ class ParameterSet:
             values, lambda p, v: replace(p, start=v, lower=min(p.lower, v), upper=max(p.upper, v), fixed=True)
         )
 
-    def _replaced(self, changes: Mapping[str, object], change) -> ParameterSet:  # noqa: ANN001
+    def _replaced(self, changes: Mapping[str, object], change) -> ParameterSet:
         for symbol in changes:
             _ = self[symbol]
         return ParameterSet(tuple(change(p, changes[p.symbol]) if p.symbol in changes else p for p in self.members))

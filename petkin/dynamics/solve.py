@@ -18,7 +18,6 @@ from typing import cast
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torchdiffeq import odeint
 
 from petkin.dynamics.batch import checked_times, default_start, starting_point
 from petkin.dynamics.crossing import leap
@@ -29,6 +28,8 @@ from petkin.dynamics.system import System
 from petkin.errors import InputError, NumericalError
 
 _MOST_STEPS = 100_000
+#: How the assertions begin by which torchdiffeq's adaptive method gives up.
+_GIVES_UP = ("underflow in dt", "non-finite values in state", "max_num_steps exceeded")
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def solve(
     start = default_start(forcing) if start is None else start
     marks, order = torch.unique(checked_times(times, start), return_inverse=True)
     motion = _Motion(system, parameters, forcing, method, window=(start, start))
-    _check_field(motion, state)
+    _check_motion(motion, state)
     states, hits = (_fly if system.jumps else _glide)(motion, state, marks.tolist())
     return Trajectory(times, torch.stack(states, dim=-2)[..., order.to(state.device), :], hits)
 
@@ -156,6 +157,8 @@ class _Motion:
         try:
             return _odeint(scaled, state, nodes, self.method, float(duration.detach().max()))
         except AssertionError as failure:
+            if not str(failure).startswith(_GIVES_UP):
+                raise
             raise NumericalError(_stuck(self.system.name, latest["time"], latest["rate"])) from failure
 
     def _input(self, t: Tensor, state: Tensor) -> Tensor | None:
@@ -181,13 +184,16 @@ def _odeint(
     method: FixedStep | Adaptive,
     length: float,
 ) -> Float[Tensor, "nodes *b d"]:
+    from torchdiffeq import odeint  # with scipy.integrate behind it, too slow to load for who only reads a forcing
+
     if isinstance(method, FixedStep):
         grid = _refined(nodes, method.step / length if length > 0 else 1.0)
         options, tolerances = {"grid_constructor": lambda *_: grid}, {}
     else:
         # The worst component decides, so that an element's accuracy does not depend on its company in the batch.
         options = {"norm": lambda error: error.detach().abs().amax(), "max_num_steps": _MOST_STEPS}
-        options |= {"max_step": method.step / length} if length > 0 else {}
+        # Steps end on the nodes: the method would else step over the last one, across the kink, and interpolate back.
+        options |= {"step_t": nodes[1:], "max_step": method.step / length if length > 0 else math.inf}
         tolerances = {"rtol": method.rtol, "atol": method.atol}
     name = "rk4" if isinstance(method, FixedStep) else "dopri5"
     return cast(Tensor, odeint(rate, state, nodes, method=name, options=options, **tolerances))
@@ -246,7 +252,13 @@ def _fly(motion: _Motion, state: Tensor, marks: list[float]) -> tuple[list[Tenso
     return states, Hits(*together)
 
 
-def _check_field(motion: _Motion, state: Tensor) -> None:
+def _check_motion(motion: _Motion, state: Tensor) -> None:
+    finest = 4 * torch.finfo(state.dtype).eps
+    if isinstance(motion.method, Adaptive) and motion.method.rtol < finest:
+        raise InputError(
+            f"{motion.system.name}: rtol {motion.method.rtol:g} is finer than {state.dtype} can hold; give at least "
+            f"{finest:.1g}, or start from a state in double precision."
+        )
     if motion.system.jumps and not math.isfinite(motion.step):
         raise InputError(f"{motion.system.name} jumps: give the method a `step`, at which the guards are looked at.")
     start = torch.tensor(motion.window[0], dtype=torch.float64, device=state.device)

@@ -118,8 +118,9 @@ class FrameObservation:
         if self.mid_frame:
             return curve(torch.tensor(self.frames.mid))
         start, end = torch.tensor(self.frames.start), torch.tensor(self.frames.end)
-        both = cumulative(torch.cat([start, end]))
-        area = both[..., len(start) :] - both[..., : len(start)]
+        edges, place = torch.unique(torch.cat([start, end]), return_inverse=True)  # most ends are the next start
+        areas = cumulative(edges)[..., place]
+        area = areas[..., len(start) :] - areas[..., : len(start)]
         if not self.corrected:
             return area / (end - start)
         return area / self.mean_decay_times_duration

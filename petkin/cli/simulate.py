@@ -111,7 +111,7 @@ def simulate(
     """
     from petkin.cli.progress import progress_bar
     from petkin.study.simulate import simulate as simulate_study
-    from petkin.study.simulation import read_settings
+    from petkin.study.simulation import read_settings, tissue_model
 
     settings = read_settings(
         out=out,
@@ -141,4 +141,5 @@ def simulate(
     with progress_bar() as step:
         written = simulate_study(settings, advance=lambda done, total: step("simulating", done / total))
     scans = settings.subjects * settings.sessions
-    print(f"Wrote {scans} scan{'s' if scans > 1 else ''} to {written}. Next: petkin fit {written} --model 2TCM")
+    fit = f"petkin fit {written} --model {tissue_model(settings).label}"
+    print(f"Wrote {scans} scan{'s' if scans > 1 else ''} to {written}. Next: {fit}")

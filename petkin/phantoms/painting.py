@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from petkin.errors import InputError
 from petkin.phantoms.definition import Phantom, Region, Shape
 
-_MOST_VOXELS = 512**3
+#: Sixteen regions in as many voxels fill two gigabytes.
+_MOST_VOXELS = 256**3
 
 
 @dataclass(frozen=True)

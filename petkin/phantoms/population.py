@@ -40,7 +40,7 @@ class _Strict(BaseModel):
 
 
 class ParentFraction(_Strict):
-    """f(t) = share e^{-fast t} + (1 - share) e^{-slow t}, t from arrival, min; rates in 1/min."""
+    """f(t) = share e^{-fast t} + (1 - share) e^{-slow t}, t from injection, min; rates in 1/min."""
 
     share: Annotated[float, Field(ge=0, le=1)]
     fast: NonNegative

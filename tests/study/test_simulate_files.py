@@ -116,7 +116,7 @@ def test_blood_without_noise_lies_on_the_curve(tmp_path: Path) -> None:
     folder = simulate(small(tmp_path / "s")) / "sub-01/pet"
     manual = pd.read_csv(folder / "sub-01_recording-manual_blood.tsv", sep="\t", na_values="n/a")
     np.testing.assert_allclose(manual["whole_blood_radioactivity"] / manual["plasma_radioactivity"], 0.75, rtol=1e-6)
-    s = manual["time"] / 60 - 0.4
+    s = manual["time"] / 60
     expected = 0.7 * np.exp(-0.08 * s) + 0.3 * np.exp(-0.004 * s)
     measured = manual["metabolite_parent_fraction"]
     np.testing.assert_allclose(measured.dropna(), expected[measured.notna()], rtol=1e-5)

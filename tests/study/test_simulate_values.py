@@ -77,7 +77,7 @@ def test_physical_preset_agrees_with_an_ode_solver(tmp_path: Path, name: str) ->
         return size * feng(t, 851.1225, 21.8798, 20.8113, (-4.133859, -0.1190996, -0.01043449), 0.4)
 
     def parent(t: float) -> float:
-        return total(t) * (0.7 * math.exp(-0.08 * (t - 0.4)) + 0.3 * math.exp(-0.004 * (t - 0.4)))
+        return total(t) * (0.7 * math.exp(-0.08 * t) + 0.3 * math.exp(-0.004 * t))
 
     start = np.array(sidecar["FrameTimesStart"]) / 60
     end = start + np.array(sidecar["FrameDuration"]) / 60

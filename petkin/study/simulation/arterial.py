@@ -53,7 +53,7 @@ def arterial_input(population: Population, given: Administration) -> InputFuncti
     if blood.parent is None:
         return InputFunction(total, whole, total_plasma=total)
     share = blood.parent.share
-    fraction = exponentials([share, 1.0 - share], [-blood.parent.fast, -blood.parent.slow], onset=blood.arrival)
+    fraction = exponentials([share, 1.0 - share], [-blood.parent.fast, -blood.parent.slow])
     return InputFunction(_product(total, fraction), whole, total_plasma=total, parent_fraction=fraction)
 
 
@@ -62,8 +62,9 @@ def _scaled(curve: ExponentialSum, factor: float) -> ExponentialSum:
 
 
 def _product(first: ExponentialSum, second: ExponentialSum) -> ExponentialSum:
-    """The product of two sums of exponentials with one onset is such a sum again."""
-    coefficients = (first.coefficients[:, None] * second.coefficients[None, :]).flatten()
+    """The product of two sums of exponentials is such a sum again; the second starts no later than the first."""
+    running = second.coefficients * torch.exp(second.exponents * (first.onset - second.onset))
+    coefficients = (first.coefficients[:, None] * running[None, :]).flatten()
     exponents = (first.exponents[:, None] + second.exponents[None, :]).flatten()
     powers = tuple(n + m for n in first.powers for m in second.powers)
-    return ExponentialSum(coefficients, torch.as_tensor(exponents), powers, first.onset)
+    return ExponentialSum(coefficients, exponents, powers, first.onset)

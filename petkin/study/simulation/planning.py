@@ -62,8 +62,7 @@ def plan(settings: SimulationSettings) -> Plan:
     Raises:
         InputError: a name that is not known, or options that contradict each other.
     """
-    preset = PRESETS[settings.preset]
-    population = read_population(settings.tracer or preset.tracer)
+    preset, population = PRESETS[settings.preset], _population(settings)
     radionuclide = nuclide(settings.isotope or population.radionuclide).symbol
     tau = preset.mean_life if settings.isotope is None else None
     decay = 1.0 / tau if tau else units.decay_constant(half_life(radionuclide))
@@ -75,7 +74,7 @@ def plan(settings: SimulationSettings) -> Plan:
         phantom=phantom,
         painted=paint(phantom, voxel_size=settings.voxel_size, subsamples=settings.subsamples),
         population=population,
-        compartments=compartment_model(settings.model or population.model),
+        compartments=tissue_model(settings),
         radionuclide=radionuclide,
         observation=FrameObservation(_frames(settings.frames, population.frames), decay, corrected=preset.corrected),
         noise=CountingNoise(
@@ -85,6 +84,19 @@ def plan(settings: SimulationSettings) -> Plan:
         ),
         effects=tuple(read_injection(text) for text in settings.effects),
     )
+
+
+def tissue_model(settings: SimulationSettings) -> CompartmentModel:
+    """The tissue model that the settings ask for, or the tracer's own.
+
+    Raises:
+        InputError: no such model or tracer.
+    """
+    return compartment_model(settings.model or _population(settings).model)
+
+
+def _population(settings: SimulationSettings) -> Population:
+    return read_population(settings.tracer or PRESETS[settings.preset].tracer)
 
 
 def _phantom(settings: SimulationSettings) -> Phantom:

@@ -24,7 +24,7 @@ def linear_recurrence(factors: Float[Tensor, "*b n"], values: Float[Tensor, "*b 
 
 def _doubling(factor: Tensor, value: Tensor) -> Tensor:
     """In log2(n) passes of vector operations, for devices where a loop is slow."""
-    start = torch.zeros_like(value[..., :1])
+    start = value.new_zeros(*value.shape[:-1], 1)
     span = 1
     while span < value.shape[-1]:
         value = torch.cat([value[..., :span], value[..., span:] + factor[..., span:] * value[..., :-span]], dim=-1)
@@ -38,8 +38,8 @@ class _Compiled(torch.autograd.Function):
 
     @staticmethod
     def forward(factors: Tensor, values: Tensor) -> Tensor:
-        n = values.shape[-1]
-        rows = _walk(factors.detach().reshape(-1, n).numpy(), values.detach().reshape(-1, n).numpy())
+        n, rows = values.shape[-1], values.shape[:-1].numel()  # no -1: one knot has no steps, n = 0
+        rows = _walk(factors.detach().reshape(rows, n).numpy(), values.detach().reshape(rows, n).numpy())
         return torch.from_numpy(rows).reshape(*values.shape[:-1], n + 1)
 
     @staticmethod

@@ -56,11 +56,11 @@ def test_the_whole_brain_has_the_regions_it_promises() -> None:
     assert len(names) >= 12
 
 
-@pytest.mark.parametrize("name", ["brain2d", "brain3d"])
-@pytest.mark.parametrize("voxel", [1.7, 3.0, 4.3, 6.0, 8.0])
+@pytest.mark.parametrize(
+    ("name", "voxel"),
+    [*(("brain2d", v) for v in (0.9, 1.7, 3.0, 4.3, 6.0, 8.0)), *(("brain3d", v) for v in (3.0, 4.3, 6.0, 8.0))],
+)
 def test_every_region_has_voxels_at_any_voxel_size(name: str, voxel: float) -> None:
-    if name == "brain3d" and voxel < 3:
-        pytest.skip("a fine whole brain takes seconds; 3 mm stands for it")
     painted = paint(read_phantom(name), voxel_size=voxel)
     assert set(np.unique(painted.labels)) == {0, *(r.index for r in painted.regions)}
 
@@ -155,8 +155,8 @@ def test_a_wrong_file_says_what_is_wrong(tmp_path: Path, change: tuple[str, str]
 
 
 def test_unknown_phantoms_name_the_known_ones() -> None:
-    assert set(phantom_names()) == {"brain2d", "brain3d"}
-    with pytest.raises(InputError, match="choose one of brain2d, brain3d"):
+    assert set(phantom_names()) >= {"brain2d", "brain3d"}
+    with pytest.raises(InputError, match=r"choose one of .*brain3d"):
         read_phantom("brain4d")
     with pytest.raises(InputError, match=r"--roi 7.*5 \(brain2d\), 16 \(brain3d\)"):
         phantom_with(7)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import pairwise
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -24,6 +25,12 @@ POWERS = (1, 0, 0, 0)
 ONSET = 0.45
 
 INPUTS = ("straight lines", "exponentials", "late", "early")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_compiled_thread() -> None:
+    """Threads that wait for each other over a handful of numbers cost minutes on a busy machine."""
+    numba.set_num_threads(1)
 
 
 def straight_lines(t: np.ndarray, side: str = "right") -> np.ndarray:

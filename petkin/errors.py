@@ -2,7 +2,7 @@
 
 
 class PetkinError(Exception):
-    """Root of every error that petkin raises on purpose; the command line prints its message and exits with status 2."""
+    """Root of every error that petkin raises on purpose; the command line prints its message and exits with 2."""
 
 
 class InputError(PetkinError, ValueError):

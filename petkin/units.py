@@ -40,7 +40,9 @@ def kbq_per_ml_factor(unit: str, *, where: str) -> float:
     """
     factor = KBQ_PER_ML.get(unit.strip())
     if factor is None:
-        raise InputError(f"{where}: unit {unit!r} is not an activity concentration; use one of {', '.join(KBQ_PER_ML)}.")
+        raise InputError(
+            f"{where}: unit {unit!r} is not an activity concentration; use one of {', '.join(KBQ_PER_ML)}."
+        )
     return factor
 
 

@@ -9,7 +9,9 @@ import typer
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the study and its results; must not exist yet.")] = Path("petkin-demo"),
+    out: Annotated[Path, typer.Option(help="Folder for the study and its results; must not exist yet.")] = Path(
+        "petkin-demo"
+    ),
     seed: Annotated[int, typer.Option(help="Seed of the simulated study.")] = 1,
 ) -> None:
     """Simulate a study, fit it with one and two tissue compartments, and compare with the truth.

@@ -15,38 +15,53 @@ def fit(
     model: Annotated[
         list[str],
         typer.Option(
-            "--model", "-m", help="1TCM, 2TCM, 2TCM3k (k4 = 0), Patlak or Logan; repeat it to compare.", rich_help_panel=_MODEL
+            "--model",
+            "-m",
+            help="1TCM, 2TCM, 2TCM3k (k4 = 0), Patlak or Logan; repeat it to compare.",
+            rich_help_panel=_MODEL,
         ),
     ] = ["2TCM"],  # noqa: B006 (typer reads it once)
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results. Default: derivatives/petkin inside the study.", rich_help_panel=_OUTPUT),
+        typer.Option(
+            help="Folder for the results. Default: derivatives/petkin inside the study.", rich_help_panel=_OUTPUT
+        ),
     ] = None,
     level: Annotated[str, typer.Option(help="both, region or voxel.", rich_help_panel=_INPUT)] = "both",
     subject: Annotated[
-        list[str] | None, typer.Option(help="Only this subject (label without sub-); repeatable.", rich_help_panel=_INPUT)
+        list[str] | None,
+        typer.Option(help="Only this subject (label without sub-); repeatable.", rich_help_panel=_INPUT),
     ] = None,
-    session: Annotated[list[str] | None, typer.Option(help="Only this session; repeatable.", rich_help_panel=_INPUT)] = None,
+    session: Annotated[
+        list[str] | None, typer.Option(help="Only this session; repeatable.", rich_help_panel=_INPUT)
+    ] = None,
     seg: Annotated[
-        str | None, typer.Option(help="Which segmentation or table of curves, by its seg- label.", rich_help_panel=_INPUT)
+        str | None,
+        typer.Option(help="Which segmentation or table of curves, by its seg- label.", rich_help_panel=_INPUT),
     ] = None,
     blood: Annotated[
         Path | None,
-        typer.Option(help="Blood table: time (s), plasma_radioactivity, ... or a ready AIF column.", rich_help_panel=_INPUT),
+        typer.Option(
+            help="Blood table: time (s), plasma_radioactivity, ... or a ready AIF column.", rich_help_panel=_INPUT
+        ),
     ] = None,
     frames: Annotated[
-        Path | None, typer.Option(help="Frame times of an image outside BIDS: TSV or JSON, in s.", rich_help_panel=_INPUT)
+        Path | None,
+        typer.Option(help="Frame times of an image outside BIDS: TSV or JSON, in s.", rich_help_panel=_INPUT),
     ] = None,
     isotope: Annotated[
         str | None, typer.Option(help="Radionuclide of an image outside BIDS, e.g. F18, C11.", rich_help_panel=_INPUT)
     ] = None,
     units: Annotated[str, typer.Option(help="Unit of an image outside BIDS.", rich_help_panel=_INPUT)] = "kBq/mL",
-    mask: Annotated[Path | None, typer.Option(help="Voxels to fit: an image that is 1 there.", rich_help_panel=_INPUT)] = None,
+    mask: Annotated[
+        Path | None, typer.Option(help="Voxels to fit: an image that is 1 there.", rich_help_panel=_INPUT)
+    ] = None,
     dseg: Annotated[
         Path | None, typer.Option(help="Regions: a label image on the image's grid.", rich_help_panel=_INPUT)
     ] = None,
     tacs: Annotated[
-        Path | None, typer.Option(help="Regional curves: a table with frame_start, frame_end (s).", rich_help_panel=_INPUT)
+        Path | None,
+        typer.Option(help="Regional curves: a table with frame_start, frame_end (s).", rich_help_panel=_INPUT),
     ] = None,
     bounds: Annotated[
         list[str] | None, typer.Option(help="Bounds of a parameter, e.g. K1=0:2; repeatable.", rich_help_panel=_MODEL)
@@ -65,7 +80,8 @@ def fit(
         float, typer.Option("--t-star", help="Patlak and Logan use frames after this, min.", rich_help_panel=_MODEL)
     ] = 30.0,
     delay: Annotated[
-        str, typer.Option(help="Blood-to-brain delay: estimate (from the whole brain), or seconds.", rich_help_panel=_MODEL)
+        str,
+        typer.Option(help="Blood-to-brain delay: estimate (from the whole brain), or seconds.", rich_help_panel=_MODEL),
     ] = "estimate",
     weights: Annotated[
         str, typer.Option(help="counting, constant, or a table with a column 'weight'.", rich_help_panel=_MODEL)
@@ -79,15 +95,22 @@ def fit(
     parent_fraction: Annotated[
         str,
         typer.Option(
-            "--parent-fraction", help="auto, hill, power, exponential, sigmoid, interpolated or none.", rich_help_panel=_MODEL
+            "--parent-fraction",
+            help="auto, hill, power, exponential, sigmoid, interpolated or none.",
+            rich_help_panel=_MODEL,
         ),
     ] = "auto",
     plasma_from: Annotated[
-        str, typer.Option("--plasma-from", help="plasma, or whole_blood where no plasma was measured.", rich_help_panel=_MODEL)
+        str,
+        typer.Option(
+            "--plasma-from", help="plasma, or whole_blood where no plasma was measured.", rich_help_panel=_MODEL
+        ),
     ] = "plasma",
     dispersion: Annotated[
         float | None,
-        typer.Option(help="Time constant (s) of the autosampler's line; default: what the files state.", rich_help_panel=_MODEL),
+        typer.Option(
+            help="Time constant (s) of the autosampler's line; default: what the files state.", rich_help_panel=_MODEL
+        ),
     ] = None,
 ) -> None:
     """Fit kinetic models by voxel and by region; write maps, tables and a report.

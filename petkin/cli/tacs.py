@@ -10,9 +10,13 @@ import typer
 
 def tacs(
     target: Annotated[Path, typer.Argument(help="A PET-BIDS study folder, or a 4-D image (.nii, .nii.gz).")],
-    dseg: Annotated[Path | None, typer.Option(help="Label image on the image's grid; default: the study's own.")] = None,
+    dseg: Annotated[
+        Path | None, typer.Option(help="Label image on the image's grid; default: the study's own.")
+    ] = None,
     seg: Annotated[str | None, typer.Option(help="Which segmentation of the study, by its seg- label.")] = None,
-    frames: Annotated[Path | None, typer.Option(help="Frame times of an image outside BIDS: TSV or JSON, in s.")] = None,
+    frames: Annotated[
+        Path | None, typer.Option(help="Frame times of an image outside BIDS: TSV or JSON, in s.")
+    ] = None,
     isotope: Annotated[str | None, typer.Option(help="Radionuclide of an image outside BIDS.")] = None,
     units: Annotated[str, typer.Option(help="Unit of an image outside BIDS.")] = "kBq/mL",
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: derivatives/petkin.")] = None,

@@ -52,7 +52,8 @@ def exp_divided_difference(points: tuple[Tensor | float, ...], t: Tensor) -> Ten
 class _Compiled(torch.autograd.Function):
     """The same in compiled code, an order of magnitude faster; its derivatives are divided differences again.
 
-    d/dp_i exp[..., p_i, ...](t) = exp[..., p_i, p_i, ...](t);  d/dt exp[p0, ..., pn](t) = pn exp[p0, ..., pn](t) + exp[p0, ..., p(n-1)](t).
+    d/dp_i exp[..., p_i, ...](t) = exp[..., p_i, p_i, ...](t)
+    d/dt exp[p0, ..., pn](t) = pn exp[p0, ..., pn](t) + exp[p0, ..., p(n-1)](t)
     """
 
     @staticmethod
@@ -63,13 +64,13 @@ class _Compiled(torch.autograd.Function):
         return torch.from_numpy(divided_differences(rows.numpy(), times.numpy())).reshape(shape)
 
     @staticmethod
-    def setup_context(ctx, inputs, output) -> None:  # noqa: ANN001
+    def setup_context(ctx, inputs, output) -> None:
         points, t = inputs
         ctx.save_for_backward(points, t, output)
         ctx.save_for_forward(points, t, output)
 
     @staticmethod
-    def backward(ctx, *grads: Tensor):  # noqa: ANN001, ANN205
+    def backward(ctx, *grads: Tensor):
         (grad,) = grads
         points, t, value = ctx.saved_tensors
         by_point = by_time = None
@@ -81,7 +82,7 @@ class _Compiled(torch.autograd.Function):
         return by_point, by_time
 
     @staticmethod
-    def jvp(ctx, *tangents: Tensor | None) -> Tensor:  # noqa: ANN001
+    def jvp(ctx, *tangents: Tensor | None) -> Tensor:
         points, t, value = ctx.saved_tensors
         by_point, by_time = tangents
         total = torch.zeros_like(value)
@@ -104,7 +105,7 @@ def _rate_of_change(points: Tensor, t: Tensor, value: Tensor) -> Tensor:
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def divided_differences(points, t):  # noqa: ANN001, ANN201
+def divided_differences(points, t):
     """exp[points[n]](t[n]) for every row of points (N, m), float64."""
     count, m = points.shape
     answer = np.empty(count)
@@ -123,7 +124,7 @@ def divided_differences(points, t):  # noqa: ANN001, ANN201
 
 
 @njit(cache=True, error_model="numpy")
-def _one(p, t, table, offsets, rows):  # noqa: ANN001, ANN202
+def _one(p, t, table, offsets, rows):
     m = len(p)
     if (p[m - 1] - p[0]) * t < _SERIES_SPREAD:
         return _series_of(p, 0, m, t, offsets, rows)
@@ -140,7 +141,7 @@ def _one(p, t, table, offsets, rows):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True, error_model="numpy")
-def _series_of(p, first, m, t, offsets, rows):  # noqa: ANN001, ANN202
+def _series_of(p, first, m, t, offsets, rows):
     """As `_series` over p[first : first + m], ended where further terms no longer count."""
     centre = 0.0
     for i in range(m):
@@ -177,8 +178,10 @@ def _recurse(ordered: Tensor, t: Tensor, first: int, last: int) -> Tensor:
     quotient = (_recurse(ordered, t, first + 1, last) - _recurse(ordered, t, first, last - 1)) / gap
     if not bool(near.any()):
         return quotient
-    # Where the quotient is chosen the series may overflow, and a nan there would poison the gradient: feed it zero time.
-    return torch.where(near, _series(ordered[..., first : last + 1], torch.where(near, t, torch.zeros_like(t))), quotient)
+    # Where the quotient is chosen the series may overflow, and a nan there would poison the gradient: give it no time.
+    return torch.where(
+        near, _series(ordered[..., first : last + 1], torch.where(near, t, torch.zeros_like(t))), quotient
+    )
 
 
 def _series(points: Tensor, t: Tensor) -> Tensor:

@@ -43,12 +43,12 @@ class _Compiled(torch.autograd.Function):
         return torch.from_numpy(rows).reshape(*values.shape[:-1], n + 1)
 
     @staticmethod
-    def setup_context(ctx, inputs, output) -> None:  # noqa: ANN001
+    def setup_context(ctx, inputs, output) -> None:
         ctx.save_for_backward(inputs[0], output)
         ctx.save_for_forward(inputs[0], output)
 
     @staticmethod
-    def backward(ctx, *grads: Tensor):  # noqa: ANN001, ANN205
+    def backward(ctx, *grads: Tensor):
         (grad,) = grads
         factors, states = ctx.saved_tensors
         # lambda_i = grad_i + f_i lambda_{i+1}: a recurrence on the reversed axis, lambda_{n+1} = 0.
@@ -58,13 +58,13 @@ class _Compiled(torch.autograd.Function):
         return adjoint * states[..., :-1], adjoint
 
     @staticmethod
-    def jvp(ctx, *tangents: Tensor) -> Tensor:  # noqa: ANN001
+    def jvp(ctx, *tangents: Tensor) -> Tensor:
         factors, states = ctx.saved_tensors
         return linear_recurrence(factors, tangents[0] * states[..., :-1] + tangents[1])
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _walk(factors, values):  # noqa: ANN001, ANN202
+def _walk(factors, values):
     rows, n = values.shape
     answer = np.empty((rows, n + 1))
     for row in prange(rows):

@@ -1,8 +1,8 @@
-"""Least squares inside a box of rate constants, for curves whose free optimum lies outside it or with values held fixed.
+"""Least squares inside a box of rate constants, for curves whose free optimum leaves it or with values held fixed.
 
-Projected Levenberg-Marquardt on all curves at once: parameters on a bound that the gradient pushes outwards are held, the
-rest take the damped Gauss-Newton step, clipped to the box (Kanzow, Yamashita & Fukushima 2004, doi:10.1016/j.cam.2004.02.013).
-Started from the free optimum moved into the box and from the best points of a grid over the box.
+Projected Levenberg-Marquardt on all curves at once: parameters on a bound that the gradient pushes outwards are held,
+the rest take the damped Gauss-Newton step, clipped to the box (Kanzow, Yamashita & Fukushima 2004,
+doi:10.1016/j.cam.2004.02.013). Started from the free optimum moved into the box and from the best points of a grid.
 """
 
 from __future__ import annotations
@@ -26,7 +26,14 @@ ON_BOUND = 1e-7
 
 
 def fit_in_box(
-    model: CompartmentModel, packed: Compression, z: Array, sizes: Array, start: Array, box: ParameterSet, *, starts: int
+    model: CompartmentModel,
+    packed: Compression,
+    z: Array,
+    sizes: Array,
+    start: Array,
+    box: ParameterSet,
+    *,
+    starts: int,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Fit curves inside a box.
 
@@ -56,7 +63,7 @@ def fit_in_box(
 
 
 def _grid_starts(model: CompartmentModel, packed: Compression, z: Array, box: ParameterSet, starts: int) -> Array:
-    """The best `starts` grid points a curve: rates on log levels, K1 and vB by least squares, clipped. (starts, N, P)."""
+    """The best `starts` grid points a curve (starts, N, P): rates on log levels, K1 and vB by least squares, clipped."""
     levels = [_levels(lo, hi) for lo, hi in zip(box.lower[1:-1], box.upper[1:-1])]
     rates = np.array(list(itertools.product(*levels)))
     ones, zeros = np.ones((len(rates), 1)), np.zeros((len(rates), 1))
@@ -71,9 +78,7 @@ def _grid_starts(model: CompartmentModel, packed: Compression, z: Array, box: Pa
     left += (z[0] - K1 * (1.0 - vB) * unit[:, :1] - vB * packed.blood) ** 2
     order = np.argsort(left, axis=0, kind="stable")[:starts]
     columns = np.arange(z.shape[1])
-    return np.stack(
-        [np.column_stack([K1[row, columns], rates[row], vB[row, columns]]) for row in order]
-    )
+    return np.stack([np.column_stack([K1[row, columns], rates[row], vB[row, columns]]) for row in order])
 
 
 def _levels(lower: float, upper: float) -> Array:
@@ -99,13 +104,18 @@ def _polish(
         values, jacobian = model_jacobian(model, packed, here)
         residual = z.T[rows] - values
         gradient = np.einsum("nrp,nr->np", jacobian, residual)
-        held = ((here <= lower + ON_BOUND * span) & (gradient <= 0)) | ((here >= upper - ON_BOUND * span) & (gradient >= 0))
+        held = ((here <= lower + ON_BOUND * span) & (gradient <= 0)) | (
+            (here >= upper - ON_BOUND * span) & (gradient >= 0)
+        )
         jacobian *= ~held[:, None, :]
         gradient *= ~held
         normal = np.einsum("nrp,nrq->npq", jacobian, jacobian)
         scale = np.einsum("npp->np", normal)
         safe = np.where(scale > 0, scale, 1.0)
-        damped = normal + np.eye(here.shape[1]) * (damping[rows, None] * scale + np.where(scale > 0, 1e-14 * safe, 1.0))[:, :, None]
+        damped = (
+            normal
+            + np.eye(here.shape[1]) * (damping[rows, None] * scale + np.where(scale > 0, 1e-14 * safe, 1.0))[:, :, None]
+        )
         step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], lower, upper) - here
         expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
         trial_cost = ((z.T[rows] - model_values(model, packed, here + step)) ** 2).sum(axis=1)

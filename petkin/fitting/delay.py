@@ -66,7 +66,7 @@ def estimate_delay(
     tried, costs = np.empty(0), np.empty(0)
     for reach, step in _GRIDS:
         grid = centre + step * np.arange(-round(reach / step), round(reach / step) + 1)
-        grid = np.clip(grid, *SPAN)
+        grid = np.asarray(np.clip(grid, *SPAN), np.float64)
         tried = np.concatenate([tried, grid])
         costs = np.concatenate([costs, _costs(grid, curve, arterial, observation, weights, model, rate_bounds)])
         centre = tried[np.argmin(costs)]
@@ -79,15 +79,13 @@ def estimate_delay(
 
 
 def _error(tried: Array, costs: Array, best: int, freedom: int) -> float:
-    """sqrt(2 s^2 / cost'') with the curvature from the points where the cost has risen by about s^2, read off both sides."""
+    """Half width of the cost at s^2 above its minimum, from the nearest points that lie higher, by a parabola."""
     s2 = costs[best] / max(freedom, 1)
     reached = np.flatnonzero(costs - costs[best] >= s2)
     left, right = reached[reached < best], reached[reached > best]
     if best in (0, len(tried) - 1) or left.size == 0 or right.size == 0:
         return float("nan")
-    widths = [
-        abs(tried[i] - tried[best]) / np.sqrt((costs[i] - costs[best]) / s2) for i in (left[-1], right[0])
-    ]
+    widths = [abs(tried[i] - tried[best]) / np.sqrt((costs[i] - costs[best]) / s2) for i in (left[-1], right[0])]
     return float(np.mean(widths))
 
 
@@ -109,5 +107,7 @@ def _costs(
     for i in range(len(delays)):
         one = BasisTable(tables.u, tables.basis[:, i], tables.slope[:, i], tables.blood[i])
         packed = compress(one, weights, tolerance=1e-7)
-        costs[i] = search_exponentials(model, packed, packed.project @ curve[:, None], size, _EFFORT, blood=True).cost[0]
+        costs[i] = search_exponentials(model, packed, packed.project @ curve[:, None], size, _EFFORT, blood=True).cost[
+            0
+        ]
     return costs

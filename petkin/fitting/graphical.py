@@ -64,7 +64,9 @@ def fit_patlak(
     predicted = np.full(curves.shape, np.nan)
     predicted[:, late] = (1.0 - settings.vB) * (solved @ design.T) + settings.vB * blood[late]
     units = (("Ki", "mL cm^-3 min^-1"), ("V0", "mL cm^-3"))
-    return _result("Patlak", units, solved, np.sqrt(variance), wrss, int(late.sum()), curves, weights, predicted, settings)
+    return _result(
+        "Patlak", units, solved, np.sqrt(variance), wrss, int(late.sum()), curves, weights, predicted, settings
+    )
 
 
 def fit_logan(
@@ -74,7 +76,7 @@ def fit_logan(
     weights: Array,
     settings: GraphicalSettings,
 ) -> FitResult:
-    """VT and the intercept of every curve (N, K). Noise in the curve enters both axes and biases VT low (Slifstein 2000)."""
+    """VT and the intercept of every curve (N, K); noise enters both axes and biases VT low (Slifstein & Laruelle 2000)."""
     late = _late(observation, settings)
     frames = observation.frames
     mid = torch.tensor(frames.mid)
@@ -114,7 +116,7 @@ def _late(observation: FrameObservation, settings: GraphicalSettings) -> NDArray
     return late
 
 
-def _area_to_middle(tissue: Array, frames) -> Array:  # noqa: ANN001 (FrameSchedule)
+def _area_to_middle(tissue: Array, frames) -> Array:
     """int_0^mid C dt from frame means; over a gap between frames the curve runs straight."""
     whole = tissue * frames.duration
     before = np.cumsum(whole, axis=1) - whole
@@ -136,7 +138,7 @@ def _result(
     predicted: Array,
     settings: GraphicalSettings,
 ) -> FitResult:
-    finite = np.isfinite(curves).all(axis=1)
+    finite = np.asarray(np.isfinite(curves).all(axis=1))
     with np.errstate(all="ignore"):
         signal = np.sum(np.where(finite[:, None], curves, 0.0), axis=1) > 0
         percent = 100.0 * errors / np.abs(solved)
@@ -151,7 +153,8 @@ def _result(
     return FitResult(
         model=label,
         estimates=tuple(
-            Estimate(symbol, unit, solved[:, i] * blank, percent[:, i] * blank) for i, (symbol, unit) in enumerate(units)
+            Estimate(symbol, unit, solved[:, i] * blank, percent[:, i] * blank)
+            for i, (symbol, unit) in enumerate(units)
         ),
         chi2=wrss / (count - 2) * blank,
         aicc=aicc * blank,

@@ -187,10 +187,19 @@ def _polish(z, size, blood, kind, basis, slope, low, spacing, u1, u2, tolerance,
             if largest > 2.0:
                 t1 *= 2.0 / largest
                 t2 *= 2.0 / largest
-            t1 = min(max(u1 + t1, low), high) - u1
-            t2 = min(max(u2 + t2, low), high) - u2
+            # At an end of the interval one rate stops there and the other takes its best step beside it.
+            c1, c2 = min(max(u1 + t1, low), high) - u1, min(max(u2 + t2, low), high) - u2
+            cut = c1 != t1 or c2 != t2
+            if c2 != t2 and j11 > 0.0:
+                c1 = min(max(u1 + min(max((s1 - j12 * c2) / m11, -2.0), 2.0), low), high) - u1
+            elif c1 != t1 and j22 > 0.0:
+                c2 = min(max(u2 + min(max((s2 - j12 * c1) / m22, -2.0), 2.0), low), high) - u2
+            t1, t2 = c1, c2
             expected = 2.0 * (s1 * t1 + s2 * t2) - (j11 * t1 * t1 + 2.0 * j12 * t1 * t2 + j22 * t2 * t2)
             if expected <= tolerance * max(size - gain, 1e-12 * size):
+                if cut and damping < 1e8:
+                    damping = max(damping * 10.0, 1e-2)
+                    continue
                 done = True
                 break
             read(basis, slope, low, spacing, u1 + t1, b1, d1)

@@ -14,7 +14,7 @@ from petkin.fitting.covariance import covariances
 from petkin.fitting.results import Estimate, FitResult, Status
 from petkin.fitting.search import REGIONS, Effort, search_exponentials
 from petkin.fitting.sensitivity import derivatives, model_values
-from petkin.fitting.table import Compression, build_table, compress
+from petkin.fitting.table import RATE_OFFSET, Compression, build_table, compress
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 from petkin.kinetics import CompartmentModel
@@ -129,7 +129,7 @@ def _box_is_free(settings: NonlinearSettings) -> bool:
 def _fit_shared(
     curves: NDArray[np.floating], packed: Compression, weights: Array, settings: NonlinearSettings
 ) -> FitResult:
-    finite = np.isfinite(curves).all(axis=1)
+    finite = np.asarray(np.isfinite(curves).all(axis=1))
     usable = np.where(finite[:, None], curves, 0.0)
     z = packed.project @ usable.T.astype(np.float64)
     sizes = np.einsum("nk,k,nk->n", usable, weights, usable, dtype=np.float64)
@@ -160,10 +160,18 @@ def _estimate(
         )
     if settings.effort.refine:
         rows = np.flatnonzero(~leaves & np.isfinite(theta).all(axis=1))
-        theta[rows], cost[rows], converged[rows] = fit_in_box(
-            model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=0
-        )
+        finer = fit_in_box(model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=0)
+        kept = _inside_table(finer[0], packed, settings)
+        for whole, part in zip((theta, cost, converged), finer):
+            whole[rows[kept]] = part[kept]
     return theta, cost, converged
+
+
+def _inside_table(theta: Array, packed: Compression, settings: NonlinearSettings) -> NDArray[np.bool_]:
+    """Whether all rates lie in the table's interval: the box alone lets a rate slip below it, where nothing is tabulated."""
+    rates = np.stack([rate for _, rate in settings.model.impulse(*theta[:, :-1].T)], axis=1)
+    slowest, fastest = np.exp(packed.u[[0, -1]]) - RATE_OFFSET
+    return ((rates >= slowest - 1e-12) & (rates <= fastest + 1e-9)).all(axis=1)
 
 
 def _chunks(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
@@ -233,7 +241,7 @@ def _with_errors(
     touching = ((theta <= box.lower + slack) | (theta >= box.upper - slack)) & ~fixed
     with np.errstate(all="ignore"):
         slowest = min(settings.rate_bounds) if not model.trapping else 0.0
-        on_bound = touching.any(axis=1)
+        on_bound = np.asarray(touching.any(axis=1))
         for phi, rate in model.impulse(*theta[:, :-1].T):
             on_bound |= (phi > 0) & (rate <= slowest * (1 + 1e-6)) & (slowest > 0)
             on_bound |= (phi > 0) & (rate >= settings.rate_bounds[1] * (1 - 1e-9))
@@ -252,13 +260,13 @@ def _predict(theta: Array, packed: Compression, weights: Array, settings: Nonlin
     curves = model_values(settings.model, packed, np.where(np.isfinite(theta), theta, 0.0))
     with np.errstate(all="ignore"):
         back = np.where(packed.root_weights > 0, packed.project / packed.root_weights**2, np.nan)
-    return np.where(np.isfinite(theta).all(axis=1)[:, None], curves @ back, np.nan)
+    return np.where(np.isfinite(theta).all(axis=1, keepdims=True), curves @ back, np.nan)
 
 
 def _merge(parts: list[tuple[NDArray[np.intp], FitResult]], count: int) -> FitResult:
     first = parts[0][1]
 
-    def scatter(pick) -> NDArray:  # noqa: ANN001
+    def scatter(pick) -> NDArray:
         sample = pick(first)
         whole = np.full((count, *sample.shape[1:]), np.nan if sample.dtype.kind == "f" else 0, sample.dtype)
         for rows, result in parts:

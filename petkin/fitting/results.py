@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ _MEANINGS = {
     Status.NOT_FINITE: "the curve holds NaN or infinite values, not fitted",
     Status.NO_SIGNAL: "the curve holds no signal above zero, not fitted",
     Status.AT_BOUND: "fitted, but a parameter ended on a bound: its standard error does not apply",
-    Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine the outcome: the standard error of VT (or Ki) exceeds 100 percent",
+    Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine VT (or Ki): its standard error exceeds 100 percent",
     Status.NOT_CONVERGED: "the fit ended before its tolerance was met",
 }
 
@@ -73,7 +74,7 @@ class FitResult:
     predicted: NDArray[np.floating] | None = None
     delay: float = 0.0
     delay_se: float = float("nan")
-    settings: dict[str, object] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
     def __getitem__(self, symbol: str) -> NDArray[np.floating]:
@@ -93,7 +94,7 @@ class FitResult:
 
 
 def undetermined(result: FitResult) -> tuple[str, ...]:
-    """What the curves do not tell, one sentence a quantity: where standard errors pass 100 percent or values meet a bound."""
+    """What the curves do not tell, a sentence each: standard errors above 100 percent, values on a bound."""
     fitted = np.isin(result.status, (Status.OK, Status.AT_BOUND, Status.NOT_IDENTIFIABLE, Status.NOT_CONVERGED))
     total = int(fitted.sum())
     sentences = []
@@ -106,5 +107,7 @@ def undetermined(result: FitResult) -> tuple[str, ...]:
             )
     bound = result.count(Status.AT_BOUND)
     if bound:
-        sentences.append(f"{result.model}: in {bound} of {total} curves a parameter ended on a bound; it has no error there.")
+        sentences.append(
+            f"{result.model}: in {bound} of {total} curves a parameter ended on a bound; it has no error there."
+        )
     return tuple(sentences)

@@ -36,7 +36,7 @@ def derivatives(function: Callable[..., Any], arguments: Array) -> tuple[Array, 
     return values.real, np.stack(columns, axis=-1)
 
 
-def _stack(results: Any) -> NDArray[Any]:
+def _stack(results: Any) -> Any:
     return np.stack(results, axis=-1) if isinstance(results, tuple) else np.asarray(results)[..., None]
 
 

@@ -82,7 +82,7 @@ def build_table(
         if not exact_slopes:
             spline = CubicSpline(u.numpy(), observation.of_response(arterial.plasma, rates).numpy())
             return BasisTable(u.numpy(), spline(u.numpy()), spline(u.numpy(), 1), blood.numpy())
-        basis, slope = torch.func.jvp(
+        basis, slope, *_ = torch.func.jvp(
             lambda a: observation.of_response(arterial.plasma, a), (rates,), (torch.exp(u),)
         )
     return BasisTable(u.numpy(), basis.numpy(), slope.numpy(), blood.numpy())

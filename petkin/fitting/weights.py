@@ -9,14 +9,14 @@ from petkin.imaging import FrameSchedule
 
 Array = NDArray[np.float64]
 
-#: Share of the peak below which a frame's activity no longer lowers its expected variance (randoms, empty first frames).
+#: Share of the peak below which activity no longer lowers a frame's expected variance (randoms, empty first frames).
 _FLOOR = 0.02
 
 
 def counting_weights(mean_curve: Array, frames: FrameSchedule, decay: float) -> Array:
-    """Inverse variances of decay-corrected frame means under counting noise, up to a common factor, with mean 1.
+    """Inverse variances of decay-corrected frame means under counting noise, up to a factor that makes their mean 1.
 
-    var_k ~ C_k e^{lambda t_k} / d_k, hence w_k ~ d_k e^{-lambda t_k} / C_k, with C the mean curve of the measured volume.
+    var_k ~ C_k e^{lambda t_k} / d_k, hence w_k ~ d_k e^{-lambda t_k} / C_k, C the mean curve of the volume.
 
     Args:
         mean_curve: C_k, kBq/mL (K,); frames below 2 % of its peak count as 2 %.

@@ -53,12 +53,16 @@ class FrameSchedule:
                 )
 
     @classmethod
-    def from_seconds(cls, start_s: ArrayLike, duration_s: ArrayLike, *, where: str = "the frame schedule") -> FrameSchedule:
+    def from_seconds(
+        cls, start_s: ArrayLike, duration_s: ArrayLike, *, where: str = "the frame schedule"
+    ) -> FrameSchedule:
         """From starts and durations in seconds, as sidecars give them."""
-        start, duration = np.asarray(start_s, np.float64), np.asarray(duration_s, np.float64)
+        start: NDArray[np.float64] = np.asarray(start_s, np.float64)
+        duration: NDArray[np.float64] = np.asarray(duration_s, np.float64)
         if start.shape != duration.shape:
             raise InputError(f"{where}: {start.size} values in FrameTimesStart but {duration.size} in FrameDuration.")
-        return cls(start / SECONDS_PER_MINUTE, (start + duration) / SECONDS_PER_MINUTE, where=where)
+        edges = (start / SECONDS_PER_MINUTE, (start + duration) / SECONDS_PER_MINUTE)
+        return cls(edges[0].astype(np.float64), edges[1].astype(np.float64), where=where)
 
     @classmethod
     def uniform(cls, count: int, duration: float) -> FrameSchedule:
@@ -87,10 +91,10 @@ class FrameSchedule:
 class FrameObservation:
     """What frames report of a decay-corrected curve C(t).
 
-    * `FrameObservation(frames, lam)`: x_k = int_k C e^{-lam t} dt / int_k e^{-lam t} dt, what a scanner's decay-corrected
-      frame holds; lam = 0 is the plain time average.
+    * `FrameObservation(frames, lam)`: x_k = int_k C e^{-lam t} dt / int_k e^{-lam t} dt, what a scanner's
+      decay-corrected frame holds; lam = 0 is the plain time average.
     * `corrected=False`: x_k = 1/(t_k - t_{k-1}) int_k C e^{-lam t} dt, the paper's observation, not decay-corrected.
-    * `mid_frame=True`: x_k = C at the middle of the frame: wrong by up to percents; only to compare with other programs.
+    * `mid_frame=True`: x_k = C at mid-frame: wrong by up to percents; only to compare with other programs.
 
     Args:
         frames: the schedule.
@@ -104,11 +108,11 @@ class FrameObservation:
     corrected: bool = True
     mid_frame: bool = False
 
-    def of_forcing(self, forcing) -> Float[Tensor, "*b frames"]:  # noqa: ANN001 (petkin.dynamics.Forcing)
+    def of_forcing(self, forcing) -> Float[Tensor, "*b frames"]:
         """x_k of the forcing itself."""
         return self._observe(forcing, lambda t: forcing.integral(t, self.decay))
 
-    def of_response(self, forcing, rates: Float[Tensor, "*r"]) -> Float[Tensor, "*rb frames"]:  # noqa: ANN001
+    def of_response(self, forcing, rates: Float[Tensor, "*r"]) -> Float[Tensor, "*rb frames"]:
         """x_k of e^{-a t} * forcing for every rate a (1/min)."""
         return self._observe(
             lambda t: forcing.response(rates, t), lambda t: forcing.response_integral(rates, t, self.decay)

@@ -7,9 +7,9 @@ A model is one `CompartmentModel`: its parameters, the map from rate constants t
 equation and its macro-parameters. The maps are plain arithmetic, so that they serve torch (gradients), numpy, and
 complex numbers (derivatives by complex step) alike.
 
-References: Gunn RN, Gunn SR, Cunningham VJ. Positron emission tomography compartmental models. J Cereb Blood Flow Metab
-2001;21:635-652. doi:10.1097/00004647-200106000-00002. Symbols: Innis RB et al. J Cereb Blood Flow Metab 2007;27:1533-1539.
-doi:10.1038/sj.jcbfm.9600493.
+References: Gunn RN, Gunn SR, Cunningham VJ. Positron emission tomography compartmental models. J Cereb Blood Flow
+Metab 2001;21:635-652. doi:10.1097/00004647-200106000-00002. Symbols: Innis RB et al. J Cereb Blood Flow Metab
+2007;27:1533-1539. doi:10.1038/sj.jcbfm.9600493.
 """
 
 from __future__ import annotations

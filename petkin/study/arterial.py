@@ -21,13 +21,15 @@ def arterial_input(source: Source, request: FitRequest) -> InputFunction:
         InputError: no blood, blood too short, or columns missing.
     """
     if source.blood is None:
-        raise InputError(f"{source.label}: there is no blood (_blood.tsv); these models need an arterial input: give --blood.")
+        raise InputError(
+            f"{source.label}: there is no blood (_blood.tsv); these models need an arterial input: give --blood."
+        )
     blood = source.blood
     require_cover(blood, source.frames)
     manual, automatic = blood.manual, blood.automatic
     if manual is None:
         manual, automatic = automatic, None
-    assert manual is not None  # noqa: S101 (a record holds at least one table)
+    assert manual is not None
     if _is_ready(manual):
         return from_table(
             manual["time"].to_numpy(),

@@ -10,7 +10,7 @@ from petkin.study.request import FitRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation.settings import SimulationSettings
 
-#: A reversible C-11 ligand in a 3-D brain, coarse enough for a laptop's minute.
+#: A reversible F-18 ligand in a 3-D brain, coarse enough for a laptop's minute.
 _VOXEL_MM = 4.0
 _NOISE_PERCENT = 5.0
 

@@ -35,10 +35,14 @@ def _one(source: Source, name: str, out: Path, request: FitRequest) -> Path:
     if source.image is None or source.dseg is None:
         raise InputError(f"{source.label}: curves need an image and a segmentation; give --dseg.")
     _, curves = extract(source.image, source.frames, None, "", read_regions(source.dseg, source.image))
-    assert curves is not None  # noqa: S101 (regions were given)
+    assert curves is not None
     path = tacs_path(source.entities, seg=curves.seg, desc=curves.desc)
     shared = describe.provenance(
-        "", sources=source.files, version=__version__, command=request.command_line, extra={"Segmentation": curves.where}
+        "",
+        sources=source.files,
+        version=__version__,
+        command=request.command_line,
+        extra={"Segmentation": curves.where},
     )
     with AtomicFolder(out) as folder:
         write_study_description(folder, name)

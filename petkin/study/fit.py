@@ -41,6 +41,7 @@ def fit_study(request: FitRequest, progress: Progress = _silent) -> tuple[Fitted
     name, out, sources = read_sources(request)
     fitted = []
     for i, source in enumerate(sources):
+
         def here(step: str, done: float, i: int = i, label: str = source.label) -> None:
             progress(f"{label}: {step}", (i + done) / len(sources))
 

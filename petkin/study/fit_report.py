@@ -10,15 +10,24 @@ import numpy as np
 
 from petkin import __version__
 from petkin.fitting import FitResult, Status, find_method
-from petkin.reporting import FitReport, InputCurves, MapSet, ModelSection, ParameterMap, RegionCurves, TruthRow, curve_times
+from petkin.reporting import (
+    FitReport,
+    InputCurves,
+    MapSet,
+    ModelSection,
+    ParameterMap,
+    RegionCurves,
+    TruthRow,
+    curve_times,
+)
 from petkin.study.fit_scan import ScanFit
 from petkin.study.request import FitRequest
 
 _OBSERVED = {
-    "frame": "Frame values are decay-weighted means of the model over each frame, as a scanner's decay-corrected frames are: "
-    "x_k = int C e^(-lambda t) dt / int e^(-lambda t) dt.",
+    "frame": "Frame values are decay-weighted means of the model over each frame, as a scanner's decay-corrected "
+    "frames are: x_k = int C e^(-lambda t) dt / int e^(-lambda t) dt.",
     "plain": "Frame values are time averages of the model over each frame.",
-    "mid": "Frame values are the model at mid-frame, for comparison with other programs; frame means are more accurate.",
+    "mid": "Frame values are the model at mid-frame, to compare with other programs; frame means are more accurate.",
 }
 
 
@@ -83,7 +92,7 @@ def _section(
 
 def _maps(result: FitResult, fit: ScanFit) -> MapSet:
     voxels = fit.voxels
-    assert voxels is not None  # noqa: S101 (voxel results exist only with voxels)
+    assert voxels is not None
     affine = voxels.series.affine
     mm: Any = tuple(float(v) for v in voxels.series.voxel_mm)
     return MapSet(
@@ -111,7 +120,9 @@ def _compared(truth: tuple[TruthRow, ...], regional: FitResult | None, fit: Scan
     place = {name: i for i, name in enumerate(fit.curves.names)}
     mine = {e.symbol: e for e in regional.estimates}
     return tuple(
-        TruthRow(row.region, row.symbol, mine[row.symbol].unit, row.truth, float(mine[row.symbol].value[place[row.region]]))
+        TruthRow(
+            row.region, row.symbol, mine[row.symbol].unit, row.truth, float(mine[row.symbol].value[place[row.region]])
+        )
         for row in truth
         if row.symbol in mine and row.region in place
     )

@@ -98,7 +98,12 @@ def fit_scan(source: Source, request: FitRequest, progress: Progress) -> ScanFit
             progress(f"{method.label} by voxel", 0.4 + 0.5 * (i + 0.3) / len(methods))
             result = method.fit(voxels.values.T, arrived, observation, weights, request.choices, True)
             by_voxel.append(replace(with_delay(result, *applied), remarks=undetermined(result)))
-    remarks = (*source.remarks, *_curve_remarks(voxels, curves), *noticed, *_nothing_fitted(methods, regional, by_voxel))
+    remarks = (
+        *source.remarks,
+        *_curve_remarks(voxels, curves),
+        *noticed,
+        *_nothing_fitted(methods, regional, by_voxel),
+    )
     return ScanFit(
         source, arterial, delay, applied, weights, how, curves, voxels, tuple(regional), tuple(by_voxel), remarks
     )
@@ -111,7 +116,9 @@ def _curves(source: Source, request: FitRequest) -> tuple[VoxelCurves | None, Re
     by_region = regions if source.curves is None and request.level != "voxel" else None
     if request.level == "region" and source.curves is not None:
         return None, source.curves
-    mask, how = (None, "") if request.level == "region" else choose_mask(source.image, source.frames, source.mask, regions)
+    mask, how = (
+        (None, "") if request.level == "region" else choose_mask(source.image, source.frames, source.mask, regions)
+    )
     voxels, curves = extract(source.image, source.frames, mask, how, by_region)
     return voxels, source.curves if source.curves is not None and request.level != "voxel" else curves
 
@@ -146,7 +153,9 @@ def frame_weights(whole: NDArray[np.float64], source: Source, request: FitReques
         raise InputError(f"--weights {request.weights!r}: choose counting or constant, or give a table that exists.")
     table = read_table(path)
     if "weight" not in table or len(table) != len(whole):
-        raise InputError(f"{path}: needs a column 'weight' with {len(whole)} rows, one a frame; it has {len(table)} rows.")
+        raise InputError(
+            f"{path}: needs a column 'weight' with {len(whole)} rows, one a frame; it has {len(table)} rows."
+        )
     weights = table["weight"].to_numpy(np.float64)
     if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
         raise InputError(f"{path}: weights must be finite and not negative, and not all zero.")
@@ -165,13 +174,11 @@ def _delay(
         return None, (float(request.delay), float("nan")), ()
     enough = int(np.count_nonzero(weights)) > len(TWO_TISSUE.parameters) + 3
     model = TWO_TISSUE if enough else ONE_TISSUE
-    found = estimate_delay(
-        whole, arterial, observation, weights, model, rate_bounds=request.choices.rate_bounds
-    )
+    found = estimate_delay(whole, arterial, observation, weights, model, rate_bounds=request.choices.rate_bounds)
     if found.at_end:
         text = (
-            f"The delay between blood and brain could not be estimated (it ran to {found.minutes * 60:.0f} s, an end of "
-            "the span): none was applied; check the blood's time zero, or give --delay."
+            f"The delay between blood and brain could not be estimated (it ran to {found.minutes * 60:.0f} s, an end "
+            "of the span): none was applied; check the blood's time zero, or give --delay."
         )
         return found, (0.0, float("nan")), (text,)
     return found, (found.minutes, found.se), ()

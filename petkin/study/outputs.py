@@ -10,9 +10,8 @@ import pandas as pd
 
 from petkin import __version__
 from petkin.fitting import FitResult, Status
-from petkin.io import AtomicFolder, json_text, write_input_table, write_map, write_table, write_tacs, write_text
+from petkin.io import AtomicFolder, json_text, names, write_input_table, write_map, write_table, write_tacs, write_text
 from petkin.io import descriptions as describe
-from petkin.io import names
 from petkin.study.arterial import sampled_input
 from petkin.study.fit_scan import ScanFit
 from petkin.study.request import FitRequest
@@ -48,7 +47,7 @@ def write_study_description(folder: AtomicFolder, name: str) -> None:
 
 def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
     """index, name, then value and percent standard error of every quantity, chi2, aicc, status."""
-    assert fit.curves is not None  # noqa: S101 (regional results exist only with curves)
+    assert fit.curves is not None
     columns: dict[str, Any] = {"index": np.arange(1, len(fit.curves.names) + 1), "name": list(fit.curves.names)}
     for estimate in result.estimates:
         measure = describe.measure_name(estimate.symbol)
@@ -58,7 +57,7 @@ def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
 
 
 def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
-    assert fit.curves is not None  # noqa: S101
+    assert fit.curves is not None
     path = names.kinpar_path(fit.source.entities, result.model, seg=fit.curves.seg, desc=fit.curves.desc)
     symbols = [estimate.symbol for estimate in result.estimates]
     sidecar = describe.kinpar_sidecar(symbols, _MEANINGS, _shared(result.model, fit, request, result))
@@ -67,7 +66,7 @@ def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request
 
 def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
     voxels = fit.voxels
-    assert voxels is not None  # noqa: S101
+    assert voxels is not None
     scan, affine = fit.source.entities, voxels.series.affine
     shared = _shared(result.model, fit, request, result)
     for estimate in result.estimates:
@@ -76,7 +75,11 @@ def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: 
             path = folder.path(names.map_path(scan, result.model, measure, desc=desc))
             sidecar = describe.map_sidecar(estimate.symbol, shared, percent_se=bool(desc))
             write_map(path, voxels.volume(values.astype(np.float32), np.nan), affine, sidecar)
-    chi2 = {"Description": "Weighted residual sum of squares over its degrees of freedom", "Units": "unitless", **shared}
+    chi2 = {
+        "Description": "Weighted residual sum of squares over its degrees of freedom",
+        "Units": "unitless",
+        **shared,
+    }
     write_map(
         folder.path(names.map_path(scan, result.model, desc="chi2")),
         voxels.volume(result.chi2.astype(np.float32), np.nan),
@@ -102,7 +105,7 @@ def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | N
         "Observation": request.observation,
     }
     if result is not None:
-        fixed = result.settings.get("fixed", {})
+        fixed: dict[str, float] = result.settings.get("fixed", {})
         extra |= {
             "InputValuesLabels": [describe.measure_name(s) for s in fixed],
             "InputValues": list(fixed.values()),

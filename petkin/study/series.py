@@ -35,7 +35,7 @@ class VoxelCurves:
     @property
     def mean(self) -> NDArray[np.float64]:
         """Mean curve of the finite voxels (K,)."""
-        finite = np.isfinite(self.values).all(axis=0)
+        finite = np.asarray(np.isfinite(self.values).all(axis=0))
         if not finite.any():
             raise InputError(f"{self.series.path}: no voxel in the mask holds finite values in every frame.")
         return self.values.mean(axis=1, dtype=np.float64, where=finite[None, :])

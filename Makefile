@@ -1,0 +1,35 @@
+# Every target does all its own set-up; `make demo` and `make test` are all a newcomer needs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.installed
+
+.PHONY: install demo test lint bench clean
+
+install: $(READY)
+
+# Two builds of torch fit the project's range; the CPU one suffices. PIP_ARGS passes options on, e.g. an index of yours.
+$(READY): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet $(PIP_ARGS) "torch==2.13.0"
+	$(BIN)/python -m pip install --quiet $(PIP_ARGS) --editable ".[dev]"
+	touch $(READY)
+
+demo: install
+	rm -rf petkin-demo
+	$(BIN)/petkin demo --out petkin-demo
+
+test: install
+	$(BIN)/pytest -n 2 --dist loadfile
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/pyright
+
+bench: install
+	$(BIN)/petkin-bench speed fit
+
+clean:
+	rm -rf $(VENV) petkin-demo .pytest_cache .ruff_cache .hypothesis .import_linter_cache

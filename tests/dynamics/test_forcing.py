@@ -11,9 +11,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynamics.conftest import COEFFICIENTS, EXPONENTS, KNOTS, LEVELS, POWERS, forcing_named, integrate
 from petkin.dynamics import ExponentialSum, Forcing, PiecewiseLinear, Shifted
 from petkin.errors import InputError
+
+from .conftest import COEFFICIENTS, EXPONENTS, KNOTS, LEVELS, POWERS, forcing_named, integrate
 
 D = torch.float64
 TIMES = torch.tensor([0.0, 0.2, 0.45, 0.7, 0.9, 3.0, 9.0, 11.0, 40.0, 90.0], dtype=D)

@@ -12,9 +12,10 @@ import scipy.integrate
 import torch
 from torch import Tensor
 
-from dynamics.conftest import KNOTS, forcing_named
 from petkin.dynamics import Adaptive, FixedStep, Jump, Parameter, ParameterSet, PiecewiseLinear, System, solve
 from petkin.errors import NumericalError
+
+from .conftest import KNOTS, forcing_named
 
 D = torch.float64
 WALL = 5.0

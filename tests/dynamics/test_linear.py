@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from dynamics.conftest import COEFFICIENTS, EXPONENTS, INPUTS, KNOTS, LEVELS, POWERS, forcing_named, integrate
 from petkin.dynamics import (
     Adaptive,
     ExponentialSum,
@@ -26,6 +25,8 @@ from petkin.dynamics import (
     solve_linear,
 )
 from petkin.errors import InputError
+
+from .conftest import COEFFICIENTS, EXPONENTS, INPUTS, KNOTS, LEVELS, POWERS, forcing_named, integrate
 
 D = torch.float64
 TIMES = torch.tensor([0.8, 1.3, 2.0, 3.3], dtype=D)

@@ -9,7 +9,6 @@ import pytest
 import scipy.special
 import torch
 
-from dynamics.conftest import KNOTS, LEVELS, forcing_named
 from petkin.dynamics import (
     Adaptive,
     FixedStep,
@@ -23,6 +22,8 @@ from petkin.dynamics import (
     solve_linear,
 )
 from petkin.errors import InputError, NumericalError
+
+from .conftest import KNOTS, LEVELS, forcing_named
 
 D = torch.float64
 METHODS = (FixedStep(0.01), Adaptive(1e-10, 1e-12))

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import report_examples as examples
 
 from petkin.fitting.results import Status
 from petkin.imaging import FrameSchedule
@@ -22,6 +21,8 @@ from petkin.reporting.map_figures import (
     value_figure,
 )
 from petkin.reporting.residuals import standardised_residuals
+
+from . import report_examples as examples
 
 
 @pytest.fixture(autouse=True)

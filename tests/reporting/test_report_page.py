@@ -11,11 +11,12 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-import report_examples as examples
 
 from petkin.errors import InputError
 from petkin.fitting.results import FitResult, Status
 from petkin.reporting import FitReport, ModelSection, RegionCurves, render_fit_report, write_fit_report
+
+from . import report_examples as examples
 
 _VOID = {"meta", "img", "br"}
 

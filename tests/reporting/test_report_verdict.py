@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import report_examples as examples
 
 from petkin.dynamics import PiecewiseLinear
 from petkin.errors import InputError
@@ -27,6 +26,8 @@ from petkin.reporting.html import delay_text
 from petkin.reporting.residuals import sign_runs
 from petkin.reporting.tables import truth_summary, truth_table
 from petkin.reporting.verdict import headline_symbols, judge
+
+from . import report_examples as examples
 
 FRAMES = examples.frames([60, 60])
 WEIGHTS = np.ones(2)

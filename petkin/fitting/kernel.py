@@ -313,7 +313,8 @@ def search(z, sizes, blood, kind, basis, slope, low, spacing, coarse, atoms, lea
         again: second start where (r . b)^2 exceeds this share of the cost; infinity for none.
 
     Returns:
-        (N, 7): u1, u2, blood, x1, x2, cost (without the part of the curve outside the compressed space), steps.
+        (N, 7): u1, u2, blood, x1, x2, cost (without the part of the curve outside the compressed space), steps of the
+        polish that led there.
     """
     count, size = z.shape[1], z.shape[0]
     answer = np.empty((count, 7))
@@ -357,10 +358,8 @@ def search(z, sizes, blood, kind, basis, slope, low, spacing, coarse, atoms, lea
                         fast, slow = u3, low
                     _polish(mine, whole, blood, kind, basis, slope, low, spacing, fast, slow, tolerance, work, trial)
                     if trial[COST] < out[COST]:
-                        steps = out[STEPS]
                         for k in range(7):
                             out[k] = trial[k]
-                        out[STEPS] += steps
                 if out[COST] > before * (1.0 - tolerance):
                     break
     return answer

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from compartment_cases import ARTERIAL, BLOOD, BOLUS, C11, EVERY_MODEL, SCHEDULE, Array, draw, frames, nearly_equal
 
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 from petkin.kinetics import CompartmentModel
+
+from .compartment_cases import ARTERIAL, BLOOD, BOLUS, C11, EVERY_MODEL, SCHEDULE, Array, draw, frames, nearly_equal
 
 
 @EVERY_MODEL

@@ -7,7 +7,12 @@ import math
 import numpy as np
 import pytest
 import torch
-from compartment_cases import (
+
+from petkin.dynamics import Adaptive, PiecewiseLinear, System, solve
+from petkin.imaging import FrameObservation
+from petkin.inputs.input_function import InputFunction
+
+from .compartment_cases import (
     ARTERIAL,
     BLOOD,
     BOLUS,
@@ -26,11 +31,7 @@ from compartment_cases import (
     nearly_equal,
     tissue,
 )
-from independent_solutions import by_matrix_exponential, by_modes, by_ode, by_recursion, linear_form
-
-from petkin.dynamics import Adaptive, PiecewiseLinear, System, solve
-from petkin.imaging import FrameObservation
-from petkin.inputs.input_function import InputFunction
+from .independent_solutions import by_matrix_exponential, by_modes, by_ode, by_recursion, linear_form
 
 # Independent solutions agree to 1e-8 relative (the figure); most do to 1e-12.
 CLOSE = 1e-8

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from compartment_cases import ARTERIAL, BOLUS, C11, KNOTS, SAMPLES, SCHEDULE, TIMES, VALUES, draw, frames, tissue
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +11,8 @@ from petkin.dynamics import PiecewiseLinear, Shifted
 from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs.input_function import InputFunction
 from petkin.kinetics import MODELS
+
+from .compartment_cases import ARTERIAL, BOLUS, C11, KNOTS, SAMPLES, SCHEDULE, TIMES, VALUES, draw, frames, tissue
 
 model_indices = st.integers(0, len(MODELS) - 1)
 seeds = st.integers(0, 2**32 - 1)

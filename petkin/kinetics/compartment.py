@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from petkin.dynamics import Forcing, Parameter, ParameterSet
+from petkin.dynamics import Forcing, Parameter, ParameterSet, System
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 
@@ -72,6 +72,13 @@ class CompartmentModel:
     invert: Callable[..., tuple[Any, ...]]
     field: Callable[[Tensor, Tensor, Tensor], Tensor]
     macros: tuple[Macro, ...]
+
+    @property
+    def system(self) -> System:
+        """The tissue for `petkin.dynamics.solve`: states C_i from zero, forcing C_P, parameters all but vB."""
+        rates = ParameterSet(self.parameters.members[:-1])
+        initial = (0.0,) * len(self.states)
+        return System(self.label, self.states, rates, lambda t, state, u, p: self.field(state, u, p), initial)
 
     def exponentials(self, parameters: Float[Tensor, "*b P"]) -> tuple[Float[Tensor, "*b m"], Float[Tensor, "*b m"]]:
         """phi_i (mL/cm3/min) and a_i (1/min) of the tissue's impulse response."""

@@ -86,6 +86,13 @@ def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: 
         affine,
         chi2,
     )
+    aicc = {"Description": "Akaike criterion for small samples, of models with the same weights", "Units": "unitless"}
+    write_map(
+        folder.path(names.map_path(scan, result.model, desc="aicc")),
+        voxels.volume(result.aicc.astype(np.float32), np.nan),
+        affine,
+        aicc | shared,
+    )
     status = voxels.volume(result.status, Status.OUTSIDE)
     write_map(
         folder.path(names.map_path(scan, result.model, desc="status")),

@@ -75,10 +75,14 @@ class CompartmentModel:
 
     @property
     def system(self) -> System:
-        """The tissue for `petkin.dynamics.solve`: states C_i from zero, forcing C_P, parameters all but vB."""
+        """The tissue for `petkin.dynamics.solve`: states C_i from zero, forcing C_P (none: 0), parameters all but vB."""
+
+        def field(t: Tensor, state: Tensor, plasma: Tensor | None, p: Tensor) -> Tensor:
+            return self.field(state, state.new_zeros(()) if plasma is None else plasma, p)
+
         rates = ParameterSet(self.parameters.members[:-1])
         initial = (0.0,) * len(self.states)
-        return System(self.label, self.states, rates, lambda t, state, u, p: self.field(state, u, p), initial)
+        return System(self.label, self.states, rates, field, initial)
 
     def exponentials(self, parameters: Float[Tensor, "*b P"]) -> tuple[Float[Tensor, "*b m"], Float[Tensor, "*b m"]]:
         """phi_i (mL/cm3/min) and a_i (1/min) of the tissue's impulse response."""

@@ -75,7 +75,7 @@ class CompartmentModel:
 
     @property
     def system(self) -> System:
-        """The tissue for `petkin.dynamics.solve`: states C_i from zero, forcing C_P (none: 0), parameters all but vB."""
+        """The tissue for `petkin.dynamics.solve`: states C_i from zero, forcing C_P, parameters all but vB."""
 
         def field(t: Tensor, state: Tensor, plasma: Tensor | None, p: Tensor) -> Tensor:
             return self.field(state, state.new_zeros(()) if plasma is None else plasma, p)

@@ -6,12 +6,40 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from petkin.fitting.kernel import dot, read
 from petkin.fitting.sensitivity import derivatives
 from petkin.fitting.table import RATE_OFFSET, Compression
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
+_FAST = {"reassoc", "contract", "nsz", "arcp"}
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def read(basis, slope, low, spacing, u, b, d):
+    """Cubic Hermite reading of b(u) and db/du."""
+    x = (u - low) / spacing
+    i = min(max(int(x), 0), basis.shape[0] - 2)
+    s = x - i
+    s2 = s * s
+    s3 = s2 * s
+    h00 = 2.0 * s3 - 3.0 * s2 + 1.0
+    h10 = (s3 - 2.0 * s2 + s) * spacing
+    h01 = 3.0 * s2 - 2.0 * s3
+    h11 = (s3 - s2) * spacing
+    p00 = (6.0 * s2 - 6.0 * s) / spacing
+    p10 = 3.0 * s2 - 4.0 * s + 1.0
+    p11 = 3.0 * s2 - 2.0 * s
+    for r in range(basis.shape[1]):
+        b[r] = h00 * basis[i, r] + h10 * slope[i, r] + h01 * basis[i + 1, r] + h11 * slope[i + 1, r]
+        d[r] = p00 * (basis[i, r] - basis[i + 1, r]) + p10 * slope[i, r] + p11 * slope[i + 1, r]
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def dot(a, b):
+    total = 0.0
+    for r in range(a.shape[0]):
+        total += a[r] * b[r]
+    return total
 
 
 def covariances(model: CompartmentModel, packed: Compression, parameters: Array, held: NDArray[np.bool_]) -> Array:
@@ -26,7 +54,9 @@ def covariances(model: CompartmentModel, packed: Compression, parameters: Array,
     Returns:
         (N, P, P): zero rows for held parameters; 1e30 times the scale where the rest cannot be told apart.
     """
-    exponentials, chain = derivatives(lambda *k: tuple(v for pair in model.impulse(*k) for v in pair), parameters[:, :-1])
+    exponentials, chain = derivatives(
+        lambda *k: tuple(v for pair in model.impulse(*k) for v in pair), parameters[:, :-1]
+    )
     spacing = float(packed.u[1] - packed.u[0])
     vB = np.ascontiguousarray(parameters[:, -1])
     return _invert_all(

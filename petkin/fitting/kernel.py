@@ -4,362 +4,283 @@ Per curve, in compressed coordinates z (see `table`), minimise over amplitudes x
 
     | z - x0 blood - x1 b(u1) - x2 b(u2) |^2.
 
-1. *Look up*: every pair of coarse nodes, amplitudes by the closed form, scored branch-free over a block of curves at once.
-2. *Polish*: variable projection (Golub & Pereyra 1973, doi:10.1137/0710036; Kaufman's Jacobian 1975) in u with exact
-   three-variable non-negative least squares at every step and Levenberg-Marquardt damping.
-3. *Look again*: where the residual still points along an exponential, restart from it (Frank-Wolfe's test for a sum of
-   non-negative exponentials) and keep the better end.
+1. *Look up* (`look_up`): every pair of coarse nodes.
+2. *Polish* (`lanes`): variable projection with exact three-variable non-negative least squares at every step and
+   Levenberg-Marquardt damping. A lane that ends is given the next curve at once, so that registers stay full.
+3. *Look again*: where the residual still points along an exponential, polish from it too (Frank-Wolfe's test for a sum
+   of non-negative exponentials) and keep the better end.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
-#: Reassociated sums let the compiler use vector registers; NaN and infinity keep their meaning.
-_FAST = {"reassoc", "contract", "nsz", "arcp"}
+from petkin.fitting import lanes
+from petkin.fitting.lanes import LANES, OWN, ROWS
+from petkin.fitting.look_up import GROUP, PAIR, SINGLE, look_up
 
-#: Curves that share one pass over the coarse pairs.
-BLOCK = 64
-
-#: What the second atom of a curve is: absent, free, or fixed at the table's first node (trapping, a = 0).
-SINGLE, PAIR, TRAPPED = 1, 2, 3
+#: Curves that a thread works through at a time: what it keeps of them fits the second-level cache.
+BLOCK = 128
 
 #: Columns of the kernel's answer.
 U1, U2, X0, X1, X2, COST, STEPS = range(7)
 
-#: Steps after which a polish gives up.
-MAX_STEPS = 60
+#: Times that a curve is looked at again.
+_MOST_ROUNDS = 4
+#: Largest step in u.
+_REACH = 2.0
+#: Columns of a curve's plan.
+_STAGE, _ROUNDS, _THIRD, _BEFORE = range(4)
+
+#: Sums may be reassociated; NaN and infinity keep their meaning.
+_FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def read(basis, slope, low, spacing, u, b, d):
-    """Cubic Hermite reading of b(u) and db/du."""
-    x = (u - low) / spacing
-    i = min(max(int(x), 0), basis.shape[0] - 2)
-    s = x - i
-    s2 = s * s
-    s3 = s2 * s
-    h00 = 2.0 * s3 - 3.0 * s2 + 1.0
-    h10 = (s3 - 2.0 * s2 + s) * spacing
-    h01 = 3.0 * s2 - 2.0 * s3
-    h11 = (s3 - s2) * spacing
-    p00 = (6.0 * s2 - 6.0 * s) / spacing
-    p10 = 3.0 * s2 - 4.0 * s + 1.0
-    p11 = 3.0 * s2 - 2.0 * s
-    for r in range(basis.shape[1]):
-        b[r] = h00 * basis[i, r] + h10 * slope[i, r] + h01 * basis[i + 1, r] + h11 * slope[i + 1, r]
-        d[r] = p00 * (basis[i, r] - basis[i + 1, r]) + p10 * slope[i, r] + p11 * slope[i + 1, r]
+class Tables(NamedTuple):
+    """The compressed table as the kernel reads it; positions x count nodes, u = low + spacing x.
 
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def dot(a, b):
-    total = 0.0
-    for r in range(a.shape[0]):
-        total += a[r] * b[r]
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def _amplitudes(g00, g01, g02, g11, g12, g22, h0, h1, h2):
-    """argmin |.|^2 over x >= 0 of three atoms with Gram g and projections h; an absent atom has g = h = 0.
-
-    Returns x0, x1, x2 and the explained sum of squares h.x. All supports are tried unless the full one is feasible.
+    Args:
+        blood: length of the blood atom along axis 0; 0 leaves blood out.
+        low, spacing: of the nodes in u.
+        rows: b and db/dx of every node, as columns (R, 2 nodes).
+        gram: rows^T rows (2 nodes, 2 nodes).
+        own: of every interval, the upper triangle of its 4 x 4 block of `gram` and its four entries of rows[0],
+            (nodes - 1, OWN).
+        coarse: nodes of the look-up (C,).
+        atoms, lead, near: unit atoms off the blood axis there, their lean on it, their Gram matrix; any precision.
+        toward: gram to the coarse nodes, each of unit length (2 nodes, C).
+        lean: blood component of those (C,).
+        lengths: |b| of the coarse nodes (C,).
     """
-    best = 0.0
-    x0 = x1 = x2 = 0.0
-    have0, have1, have2 = g00 > 0.0, g11 > 0.0, g22 > 0.0
-    if have0 and have1 and have2:
-        f = g01 / g00
-        e = g02 / g00
-        a11, a12, a22 = g11 - f * g01, g12 - f * g02, g22 - e * g02
-        det = a11 * a22 - a12 * a12
-        if det > 1e-14 * g11 * g22:
-            r1, r2 = h1 - f * h0, h2 - e * h0
-            y1 = (r1 * a22 - r2 * a12) / det
-            y2 = (r2 * a11 - r1 * a12) / det
-            y0 = (h0 - g01 * y1 - g02 * y2) / g00
-            if y0 >= 0.0 and y1 >= 0.0 and y2 >= 0.0:
-                return y0, y1, y2, h0 * y0 + h1 * y1 + h2 * y2
-    if have0 and h0 > 0.0:
-        best, x0 = h0 * h0 / g00, h0 / g00
-    if have1 and h1 * h1 > best * g11 and h1 > 0.0:
-        best, x0, x1 = h1 * h1 / g11, 0.0, h1 / g11
-    if have2 and h2 * h2 > best * g22 and h2 > 0.0:
-        best, x0, x1, x2 = h2 * h2 / g22, 0.0, 0.0, h2 / g22
-    if have0 and have1:
-        det = g00 * g11 - g01 * g01
-        y0, y1 = h0 * g11 - h1 * g01, h1 * g00 - h0 * g01
-        if det > 1e-14 * g00 * g11 and y0 >= 0.0 and y1 >= 0.0 and h0 * y0 + h1 * y1 > best * det:
-            best, x0, x1, x2 = (h0 * y0 + h1 * y1) / det, y0 / det, y1 / det, 0.0
-    if have0 and have2:
-        det = g00 * g22 - g02 * g02
-        y0, y2 = h0 * g22 - h2 * g02, h2 * g00 - h0 * g02
-        if det > 1e-14 * g00 * g22 and y0 >= 0.0 and y2 >= 0.0 and h0 * y0 + h2 * y2 > best * det:
-            best, x0, x1, x2 = (h0 * y0 + h2 * y2) / det, y0 / det, 0.0, y2 / det
-    if have1 and have2:
-        det = g11 * g22 - g12 * g12
-        y1, y2 = h1 * g22 - h2 * g12, h2 * g11 - h1 * g12
-        if det > 1e-14 * g11 * g22 and y1 >= 0.0 and y2 >= 0.0 and h1 * y1 + h2 * y2 > best * det:
-            best, x0, x1, x2 = (h1 * y1 + h2 * y2) / det, 0.0, y1 / det, y2 / det
-    return x0, x1, x2, best
+
+    blood: float
+    low: float
+    spacing: float
+    rows: NDArray[np.float64]
+    gram: NDArray[np.float64]
+    own: NDArray[np.float64]
+    coarse: NDArray[np.int64]
+    atoms: NDArray[np.floating]
+    lead: NDArray[np.floating]
+    near: NDArray[np.floating]
+    toward: NDArray[np.float64]
+    lean: NDArray[np.float64]
+    lengths: NDArray[np.float64]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _project(z, blood, second, b1, b2):
-    """Amplitudes and explained sum of squares at the atoms b1, b2 (b2 ignored unless `second`)."""
-    g11, h1 = dot(b1, b1), dot(b1, z)
-    g12 = g22 = h2 = g02 = 0.0
-    if second:
-        g12, g22, h2, g02 = dot(b1, b2), dot(b2, b2), dot(b2, z), blood * b2[0]
-    return _amplitudes(blood * blood, blood * b1[0], g02, g11, g12, g22, blood * z[0], h1, h2)
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _curvature(d, e, b1, b2, on0, on1, on2):
-    """d . P e with P the projector off the active atoms (blood is axis 0)."""
-    skip = d[0] * e[0] if on0 else 0.0
-    value = dot(d, e) - skip
-    m0 = 1.0 if on0 else 0.0
-    c1 = dot(d, b1) - m0 * d[0] * b1[0]
-    k1 = dot(e, b1) - m0 * e[0] * b1[0]
-    g11 = dot(b1, b1) - m0 * b1[0] * b1[0]
-    if on1 and not on2:
-        return value - c1 * k1 / g11
-    c2 = dot(d, b2) - m0 * d[0] * b2[0]
-    k2 = dot(e, b2) - m0 * e[0] * b2[0]
-    g22 = dot(b2, b2) - m0 * b2[0] * b2[0]
-    if on2 and not on1:
-        return value - c2 * k2 / g22
-    if on1 and on2:
-        g12 = dot(b1, b2) - m0 * b1[0] * b2[0]
-        det = g11 * g22 - g12 * g12
-        if det > 1e-14 * g11 * g22:
-            return value - (c1 * (k1 * g22 - k2 * g12) + c2 * (k2 * g11 - k1 * g12)) / det
-    return value
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _polish(z, size, blood, kind, basis, slope, low, spacing, u1, u2, tolerance, work, out):
-    """Levenberg-Marquardt on the variable-projection functional from (u1, u2); the end goes to `out`."""
-    b1, d1, b2, d2 = work[0], work[1], work[2], work[3]
-    high = low + spacing * (basis.shape[0] - 1)
-    second = kind != SINGLE
-    free2 = kind == PAIR
-    read(basis, slope, low, spacing, u1, b1, d1)
-    if second:
-        read(basis, slope, low, spacing, u2, b2, d2)
-    x0, x1, x2, gain = _project(z, blood, second, b1, b2)
-    damping = 1e-3
-    steps = 0
-    while steps < MAX_STEPS:
-        on0, on1, on2 = x0 > 0.0, x1 > 0.0, x2 > 0.0
-        s1 = s2 = j11 = j22 = j12 = 0.0
-        if on1:
-            s1 = x1 * (dot(d1, z) - x0 * blood * d1[0] - x1 * dot(d1, b1))
-            if second:
-                s1 -= x1 * x2 * dot(d1, b2)
-            if (s1 > 0.0 or u1 > low) and (s1 < 0.0 or u1 < high):
-                j11 = x1 * x1 * _curvature(d1, d1, b1, b2, on0, on1, on2)
-        if on2 and free2:
-            s2 = x2 * (dot(d2, z) - x0 * blood * d2[0] - x1 * dot(d2, b1) - x2 * dot(d2, b2))
-            if (s2 > 0.0 or u2 > low) and (s2 < 0.0 or u2 < high):
-                j22 = x2 * x2 * _curvature(d2, d2, b1, b2, on0, on1, on2)
-        if j11 > 0.0 and j22 > 0.0:
-            j12 = x1 * x2 * _curvature(d1, d2, b1, b2, on0, on1, on2)
-        if j11 <= 0.0 and j22 <= 0.0:
-            break
-        moved = False
-        done = False
-        while steps < MAX_STEPS:
-            steps += 1
-            m11, m22 = j11 * (1.0 + damping), j22 * (1.0 + damping)
-            t1 = t2 = 0.0
-            if j11 > 0.0 and j22 > 0.0 and m11 * m22 - j12 * j12 > 1e-14 * m11 * m22:
-                det = m11 * m22 - j12 * j12
-                t1 = (s1 * m22 - s2 * j12) / det
-                t2 = (s2 * m11 - s1 * j12) / det
-            elif j11 > 0.0:
-                t1 = s1 / m11
-            else:
-                t2 = s2 / m22
-            largest = max(abs(t1), abs(t2))
-            if largest > 2.0:
-                t1 *= 2.0 / largest
-                t2 *= 2.0 / largest
-            # At an end of the interval one rate stops there and the other takes its best step beside it.
-            c1, c2 = min(max(u1 + t1, low), high) - u1, min(max(u2 + t2, low), high) - u2
-            cut = c1 != t1 or c2 != t2
-            if c2 != t2 and j11 > 0.0:
-                c1 = min(max(u1 + min(max((s1 - j12 * c2) / m11, -2.0), 2.0), low), high) - u1
-            elif c1 != t1 and j22 > 0.0:
-                c2 = min(max(u2 + min(max((s2 - j12 * c1) / m22, -2.0), 2.0), low), high) - u2
-            t1, t2 = c1, c2
-            expected = 2.0 * (s1 * t1 + s2 * t2) - (j11 * t1 * t1 + 2.0 * j12 * t1 * t2 + j22 * t2 * t2)
-            if expected <= tolerance * max(size - gain, 1e-12 * size):
-                if cut and damping < 1e8:
-                    damping = max(damping * 10.0, 1e-2)
-                    continue
-                done = True
-                break
-            read(basis, slope, low, spacing, u1 + t1, b1, d1)
-            if free2:
-                read(basis, slope, low, spacing, u2 + t2, b2, d2)
-            y0, y1, y2, new = _project(z, blood, second, b1, b2)
-            if new > gain:
-                damping = max(damping * 0.1, 1e-9) if new - gain > 0.25 * expected else damping * 2.0
-                u1, u2, x0, x1, x2, gain = u1 + t1, u2 + t2, y0, y1, y2, new
-                moved = True
-                break
-            damping = max(damping * 10.0, 1e-2)
-            if damping > 1e8:
-                done = True
-                break
-        if done or not moved:
-            break
-    out[U1], out[U2], out[X0], out[X1], out[X2] = u1, u2, x0, x1, x2
-    out[COST] = size - gain
-    out[STEPS] = steps
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _look_up(zs, count, atoms, lead, gram, kind, has_blood, scores, first, second, c):
-    """Best coarse node or pair for each of `count` curves, scored off the blood axis with a penalty for negative blood."""
-    nodes = atoms.shape[0]
-    for i in range(nodes):
-        for n in range(count):
-            c[i, n] = 0.0
-        for r in range(atoms.shape[1]):
-            a = atoms[i, r]
-            for n in range(count):
-                c[i, n] += a * zs[r, n]
-    for n in range(count):
-        scores[n] = -1.0
-        first[n] = 0
-        second[n] = 0
-    for i in range(nodes if kind == SINGLE else 0):
-        gv = 1.0 / (1.0 + lead[i] * lead[i])
-        for n in range(count):
-            y = max(c[i, n], 0.0)
-            v = min(zs[0, n] - lead[i] * y, 0.0) if has_blood else 0.0
-            score = y * y - v * v * gv
-            if score > scores[n]:
-                scores[n] = score
-                first[n] = i
-    last = nodes if kind == PAIR else (1 if kind == TRAPPED else 0)
-    for j in range(last):  # j: the slower atom (node 0 is the slowest)
-        for i in range(j + 1, nodes):
-            g = gram[i, j]
-            inverse = 1.0 / np.sqrt(max(1.0 - g * g, 1e-12))
-            tilt = g * inverse
-            reach = lead[j] * inverse - lead[i] * tilt
-            gv = 1.0 / (1.0 + lead[i] * lead[i] + reach * reach)
-            for n in range(count):
-                ci, cj = c[i, n], c[j, n]
-                y2 = (cj - g * ci) * inverse
-                y1 = ci
-                # Outside the cone of positive amplitudes the better single atom is the answer.
-                if y2 <= 0.0:
-                    y2, y1 = 0.0, max(ci, 0.0)
-                    v = zs[0, n] - lead[i] * y1
-                elif y1 <= tilt * y2:
-                    y1, y2 = max(cj, 0.0), 0.0
-                    v = zs[0, n] - lead[j] * y1
-                else:
-                    v = zs[0, n] - lead[i] * y1 - reach * y2
-                v = min(v, 0.0) if has_blood else 0.0
-                score = y1 * y1 + y2 * y2 - v * v * gv
-                if score > scores[n]:
-                    scores[n] = score
-                    first[n] = i
-                    second[n] = j
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _residual_points(z, blood, kind, basis, slope, low, spacing, out, coarse, norms, work):
-    """Largest (r . b / |b|)^2 over coarse nodes with r . b > 0, and its node (-1 if none)."""
-    r, b1, d1 = work[4], work[0], work[1]
-    for k in range(z.shape[0]):
-        r[k] = z[k]
-    r[0] -= out[X0] * blood
-    if out[X1] > 0.0:
-        read(basis, slope, low, spacing, out[U1], b1, d1)
-        for k in range(z.shape[0]):
-            r[k] -= out[X1] * b1[k]
-    if kind != SINGLE and out[X2] > 0.0:
-        read(basis, slope, low, spacing, out[U2], b1, d1)
-        for k in range(z.shape[0]):
-            r[k] -= out[X2] * b1[k]
-    most, node = 0.0, -1
-    for i in range(coarse.shape[0]):
-        along = dot(r, basis[coarse[i]]) / norms[i]
-        if along > most:
-            most, node = along, i
-    return most * most, node
-
-
-@njit(cache=True, parallel=True, fastmath=_FAST, error_model="numpy")
-def search(z, sizes, blood, kind, basis, slope, low, spacing, coarse, atoms, lead, gram, norms, tolerance, again):
+@njit(cache=True, parallel=True, error_model="numpy")
+def search(z, sizes, tables, kind, tolerance, again):
     """Fit every column of z.
 
     Args:
         z: compressed curves (R, N), C order.
         sizes: |z|^2 of every curve (N,).
-        blood: length of the blood atom along axis 0; 0 leaves blood out.
+        tables: see `Tables`.
         kind: SINGLE, PAIR or TRAPPED.
-        basis, slope, low, spacing: the compressed table.
-        coarse, atoms, lead, gram, norms: see `voxelwise.coarse_grid`.
         tolerance: a polish ends when its expected relative gain falls below this.
         again: second start where (r . b)^2 exceeds this share of the cost; infinity for none.
 
     Returns:
-        (N, 7): u1, u2, blood, x1, x2, cost (without the part of the curve outside the compressed space), steps of the
+        (7, N): u1 >= u2, blood, x1, x2, cost (without the part of the curve outside the compressed space), steps of the
         polish that led there.
     """
-    count, size = z.shape[1], z.shape[0]
-    answer = np.empty((count, 7))
+    count = z.shape[1]
+    answer = np.empty((7, count))
     blocks = (count + BLOCK - 1) // BLOCK
     for block in prange(blocks):
         start = block * BLOCK
         stop = min(start + BLOCK, count)
-        zs = z[:, start:stop].copy()
-        c = np.empty((coarse.shape[0], BLOCK))
-        scores = np.empty(BLOCK)
-        first = np.empty(BLOCK, np.int64)
-        second = np.empty(BLOCK, np.int64)
-        work = np.empty((5, size))
-        mine = np.empty(size)
-        trial = np.empty(7)
-        _look_up(zs, stop - start, atoms, lead, gram, kind, blood > 0.0, scores, first, second, c)
-        for n in range(stop - start):
-            out = answer[start + n]
-            for r in range(size):
-                mine[r] = zs[r, n]
-            u1 = low + spacing * coarse[first[n]]
-            u2 = low + spacing * coarse[second[n]] if kind == PAIR else low
-            whole = sizes[start + n]
-            _polish(mine, whole, blood, kind, basis, slope, low, spacing, u1, u2, tolerance, work, out)
-            for _ in range(4):
-                along, node = _residual_points(
-                    mine, blood, kind, basis, slope, low, spacing, out, coarse, norms, work
-                )
-                if node < 0 or along <= again * out[COST]:
-                    break
-                u3 = low + spacing * coarse[node]
-                before = out[COST]
-                partners = 2 if kind == PAIR else 1
-                for partner in range(partners):
-                    keep = out[U1] if partner == 0 else out[U2]
-                    if kind == PAIR:
-                        if (out[X1] if partner == 0 else out[X2]) <= 0.0:
-                            continue
-                        fast, slow = max(keep, u3), min(keep, u3)
-                    else:
-                        fast, slow = u3, low
-                    _polish(mine, whole, blood, kind, basis, slope, low, spacing, fast, slow, tolerance, work, trial)
-                    if trial[COST] < out[COST]:
-                        for k in range(7):
-                            out[k] = trial[k]
-                if out[COST] > before * (1.0 - tolerance):
-                    break
+        found = np.empty((stop - start, 7))
+        _fit_block(z, sizes, start, tables, kind, tolerance, again, found)
+        for v in range(stop - start):
+            swap = found[v, U2] > found[v, U1]
+            n = start + v
+            answer[U1, n] = tables.low + tables.spacing * (found[v, U2] if swap else found[v, U1])
+            answer[U2, n] = tables.low + tables.spacing * (found[v, U1] if swap else found[v, U2])
+            answer[X1, n], answer[X2, n] = (found[v, X2], found[v, X1]) if swap else (found[v, X1], found[v, X2])
+            answer[X0, n], answer[COST, n], answer[STEPS, n] = found[v, X0], found[v, COST], found[v, STEPS]
     return answer
+
+
+@njit(cache=True, error_model="numpy")
+def _fit_block(z, sizes, start, tables, kind, tolerance, again, answer):
+    """Every curve of a block; positions instead of u in the answer."""
+    # Arrays are unpacked once: handing the tuple on costs a reference count an array and call.
+    blood, _, spacing, rows, gram, own, coarse, atoms, lead, near, toward, lean, lengths = tables
+    size = answer.shape[0]
+    seen = np.empty((size, rows.shape[1]))
+    _see(z, start, rows, seen)
+    chosen = np.empty((BLOCK + GROUP - 1) // GROUP * GROUP, np.int32)
+    _look(z, sizes, start, size, atoms, lead, near, blood > 0.0, kind, chosen)
+    work = np.zeros(ROWS * LANES)
+    curve = np.empty(LANES, np.int64)
+    plan = np.zeros((size, 4))
+    along = np.empty(len(coarse))
+    second, free = (0.0 if kind == SINGLE else 1.0), (1.0 if kind == PAIR else 0.0)
+    last, reach = float(own.shape[0]), _REACH / spacing
+    used = fed = 0
+    while True:
+        while used < LANES and fed < size:
+            faster, slower = divmod(chosen[fed], len(coarse))
+            curve[used] = fed
+            _enter(work, used, coarse[faster], coarse[slower] if kind == PAIR else 0.0)
+            work[lanes.SIZE * LANES + used] = sizes[start + fed]
+            work[lanes.BLOOD_SEEN * LANES + used] = blood * z[0, start + fed]
+            used, fed = used + 1, fed + 1
+        if used == 0:
+            break
+        _gather(work, used, curve, gram, own, seen, kind)
+        width = (used + 7) // 8 * 8
+        lanes.evaluate(work, width, blood, second, free)
+        lanes.propose(work, width, last, reach, tolerance)
+        n = 0
+        while n < used:
+            if work[lanes.DONE * LANES + n] == 0.0:
+                n += 1
+                continue
+            v = curve[n]
+            _settle(work, n, answer, v, plan[v, _STAGE] == 0.0)
+            x, y = _again(
+                answer, plan, v, seen, blood, kind, own.shape[0], coarse, toward, lean, lengths, tolerance, again, along
+            )
+            if x >= 0.0:
+                _enter(work, n, x, y)
+                n += 1
+                continue
+            used -= 1
+            curve[n] = curve[used]
+            for row in range(lanes.STATE):
+                work[row * LANES + n] = work[row * LANES + used]
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _see(z, start, rows, seen):
+    """Every row of the table on every curve of the block, eight directions at a time."""
+    for v in range(seen.shape[0]):
+        n = start + v
+        for k in range(rows.shape[1]):
+            seen[v, k] = 0.0
+        r = 0
+        while r + 8 <= rows.shape[0]:
+            z0, z1, z2, z3 = z[r, n], z[r + 1, n], z[r + 2, n], z[r + 3, n]
+            z4, z5, z6, z7 = z[r + 4, n], z[r + 5, n], z[r + 6, n], z[r + 7, n]
+            for k in range(rows.shape[1]):
+                seen[v, k] += (
+                    (z0 * rows[r, k] + z1 * rows[r + 1, k]) + (z2 * rows[r + 2, k] + z3 * rows[r + 3, k])
+                ) + ((z4 * rows[r + 4, k] + z5 * rows[r + 5, k]) + (z6 * rows[r + 6, k] + z7 * rows[r + 7, k]))
+            r += 8
+        while r < rows.shape[0]:
+            for k in range(rows.shape[1]):
+                seen[v, k] += z[r, n] * rows[r, k]
+            r += 1
+
+
+@njit(cache=True, error_model="numpy")
+def _look(z, sizes, start, size, atoms, lead, near, has_blood, kind, chosen):
+    """The look-up of a block, GROUP curves at a time, each scaled to unit length."""
+    nodes = atoms.shape[0]
+    scaled = np.zeros((z.shape[0], GROUP), atoms.dtype)
+    c, scores = np.empty((nodes, GROUP), atoms.dtype), np.empty(GROUP, atoms.dtype)
+    for first in range(0, size, GROUP):
+        for n in range(min(GROUP, size - first)):
+            scale = 1.0 / np.sqrt(max(sizes[start + first + n], 1e-300))
+            for r in range(z.shape[0]):
+                scaled[r, n] = z[r, start + first + n] * scale
+        group = chosen[first : first + GROUP]
+        look_up(scaled, atoms, lead, near, kind, has_blood, c, scores, group)
+
+
+@njit(cache=True, error_model="numpy")
+def _enter(work, n, x, y):
+    """Start a polish from the positions x, y in lane n: the first trial counts as a gain."""
+    for row in range(lanes.SIZE):
+        work[row * LANES + n] = 0.0
+    work[lanes.TRIAL_1 * LANES + n], work[lanes.TRIAL_2 * LANES + n] = x, y
+    work[lanes.GAIN * LANES + n] = -1.0
+    work[lanes.DAMPING * LANES + n] = 1e-2
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(work, count, curve, gram, own, seen, kind):
+    """What the formulas need at every lane's trial. Unsigned indices are known not to count from the end."""
+    last = np.uint64(own.shape[0] - 1)
+    two = np.uint64(2)
+    for n in range(count):
+        v = np.uint64(curve[n])
+        x = work[lanes.TRIAL_1 * LANES + n]
+        i = min(np.uint64(x), last)
+        work[lanes.FRACTION_1 * LANES + n] = x - i
+        for k in range(OWN):
+            work[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
+        for k in range(4):
+            work[(lanes.SEEN_1 + k) * LANES + n] = seen[v, two * i + np.uint64(k)]
+        if kind == SINGLE:
+            continue
+        y = work[lanes.TRIAL_2 * LANES + n]
+        j = min(np.uint64(y), last)
+        work[lanes.FRACTION_2 * LANES + n] = y - j
+        for k in range(OWN):
+            work[(lanes.OWN_2 + k) * LANES + n] = own[j, np.uint64(k)]
+        for k in range(4):
+            row = two * j + np.uint64(k)
+            work[(lanes.SEEN_2 + k) * LANES + n] = seen[v, row]
+            for m in range(4):
+                work[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[row, two * i + np.uint64(m)]
+
+
+@njit(cache=True, error_model="numpy")
+def _settle(work, n, out, v, first):
+    """A lane's end into the answer (positions instead of u), if it is the first or better than what is there."""
+    cost = work[lanes.SIZE * LANES + n] - work[lanes.GAIN * LANES + n]
+    if first or cost < out[v, COST]:
+        out[v, U1], out[v, U2] = work[lanes.POSITION_1 * LANES + n], work[lanes.POSITION_2 * LANES + n]
+        out[v, X0], out[v, X1] = work[lanes.BLOOD * LANES + n], work[lanes.FIRST * LANES + n]
+        out[v, X2], out[v, COST], out[v, STEPS] = work[lanes.SECOND * LANES + n], cost, work[lanes.STEPS * LANES + n]
+
+
+@njit(cache=True, error_model="numpy")
+def _again(out, plan, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, tolerance, again, along):
+    """Positions of the curve's next polish, or -1 where it is finished."""
+    if plan[v, _STAGE] == 1.0 and out[v, X2] > 0.0:
+        plan[v, _STAGE] = 2.0
+        return max(out[v, U2], plan[v, _THIRD]), min(out[v, U2], plan[v, _THIRD])
+    if plan[v, _STAGE] > 0.0 and out[v, COST] > plan[v, _BEFORE] * (1.0 - tolerance):
+        return -1.0, 0.0
+    if plan[v, _ROUNDS] == _MOST_ROUNDS:
+        return -1.0, 0.0
+    gain, node = _point(out, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, along)
+    if node < 0 or gain <= again * out[v, COST]:
+        return -1.0, 0.0
+    third = float(coarse[node])
+    plan[v, _ROUNDS] += 1.0
+    plan[v, _THIRD], plan[v, _BEFORE] = third, out[v, COST]
+    if kind != PAIR:
+        plan[v, _STAGE] = 2.0
+        return third, 0.0
+    plan[v, _STAGE] = 1.0 if out[v, X1] > 0.0 else 2.0
+    keep = out[v, U1] if out[v, X1] > 0.0 else out[v, U2]
+    return max(keep, third), min(keep, third)
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _point(out, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, along):
+    """Largest (r . b / |b|)^2 over coarse nodes with r . b > 0, and its node (-1 if none); r the residual."""
+    i, j = min(int(out[v, U1]), intervals - 1), min(int(out[v, U2]), intervals - 1)
+    a0, a1, a2, a3 = lanes.value_weights(out[v, U1] - i)
+    b0, b1, b2, b3 = lanes.value_weights(out[v, U2] - j)
+    one, two = -out[v, X1], (0.0 if kind == SINGLE else -out[v, X2])
+    i, j, bled = 2 * i, 2 * j, out[v, X0] * blood
+    for c in range(len(coarse)):
+        along[c] = seen[v, 2 * coarse[c]] / lengths[c]
+    for c in range(len(coarse)):
+        first = a0 * toward[i, c] + a1 * toward[i + 1, c] + a2 * toward[i + 2, c] + a3 * toward[i + 3, c]
+        other = b0 * toward[j, c] + b1 * toward[j + 1, c] + b2 * toward[j + 2, c] + b3 * toward[j + 3, c]
+        along[c] += one * first + two * other - bled * lean[c]
+    node = 0
+    for c in range(1, len(coarse)):
+        node = c if along[c] > along[node] else node
+    return (along[node] ** 2, node) if along[node] > 0.0 else (0.0, -1)

@@ -1,4 +1,4 @@
-"""Every curve's best exponentials, unconstrained but for signs and the interval of rates: drives the compiled kernel."""
+"""Every curve's best exponentials, free but for signs and the interval of rates: drives the compiled kernel."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.fitting import kernel
+from petkin.fitting.lanes import MAX_STEPS
+from petkin.fitting.look_up import PAIR, SINGLE, TRAPPED
 from petkin.fitting.table import RATE_OFFSET, Compression
 from petkin.kinetics import CompartmentModel
 
@@ -67,47 +69,51 @@ def search_exponentials(
         effort: how hard to search.
         blood: whether blood may take part; without it vB = 0.
     """
-    kind = kernel.PAIR if model.free_rates == 2 else (kernel.TRAPPED if model.trapping else kernel.SINGLE)
-    coarse = np.unique(np.linspace(0, len(packed.u) - 1, effort.coarse).round().astype(np.int64))
-    atoms, lead, gram, norms = _coarse_atoms(packed, coarse, blood=blood)
+    kind = PAIR if model.free_rates == 2 else (TRAPPED if model.trapping else SINGLE)
+    tables = _tables(packed, effort, blood=blood)
     found = kernel.search(
-        np.ascontiguousarray(z),
-        np.ascontiguousarray(sizes),
-        packed.blood if blood else 0.0,
-        kind,
-        packed.basis,
-        packed.slope,
-        float(packed.u[0]),
-        float(packed.u[1] - packed.u[0]),
-        coarse,
-        atoms,
-        lead,
-        gram,
-        norms,
-        effort.tolerance,
-        effort.again,
+        np.ascontiguousarray(z), np.ascontiguousarray(sizes), tables, kind, effort.tolerance, effort.again
     )
-    vB = np.minimum(found[:, kernel.X0], 1.0)
+    vB = np.minimum(found[kernel.X0], 1.0)
     held = np.where(vB < 1.0, 1.0 - vB, np.nan)
-    first = (found[:, kernel.X1] / held, np.exp(found[:, kernel.U1]) - RATE_OFFSET)
-    second = (found[:, kernel.X2] / held, np.exp(found[:, kernel.U2]) - RATE_OFFSET)
-    if kind == kernel.SINGLE:
-        phi, rate = first[0][:, None], first[1][:, None]
-    else:
-        phi, rate = np.stack([first[0], second[0]], axis=1), np.stack([first[1], second[1]], axis=1)
-        fastest = np.argsort(-rate, axis=1, kind="stable")
-        phi, rate = np.take_along_axis(phi, fastest, axis=1), np.take_along_axis(rate, fastest, axis=1)
-    converged = found[:, kernel.STEPS] < kernel.MAX_STEPS
-    return Exponentials(phi, np.maximum(rate, 0.0), vB, found[:, kernel.COST], converged)
+    atoms = 1 if kind == SINGLE else 2
+    phi = found[kernel.X1 : kernel.X1 + atoms] / held
+    rate = np.maximum(np.exp(found[kernel.U1 : kernel.U1 + atoms]) - RATE_OFFSET, 0.0)
+    return Exponentials(phi.T, rate.T, vB, found[kernel.COST], found[kernel.STEPS] < MAX_STEPS)
 
 
-def _coarse_atoms(packed: Compression, coarse: NDArray[np.int64], *, blood: bool) -> tuple[Array, Array, Array, Array]:
-    """Unit atoms for the look-up, off the blood axis where blood takes part, with their lean on it and their Gram matrix."""
-    chosen = packed.basis[coarse]
-    norms = np.linalg.norm(chosen, axis=1)
+def _tables(packed: Compression, effort: Effort, *, blood: bool) -> kernel.Tables:
+    spacing = float(packed.u[1] - packed.u[0])
+    rows = np.stack([packed.basis, packed.slope * spacing], axis=1).reshape(-1, packed.size)
+    gram = rows @ rows.T
+    first = 2 * np.arange(len(packed.u) - 1)
+    upper = [gram[first + a, first + b] for a in range(4) for b in range(a, 4)]
+    coarse = np.unique(np.linspace(0, len(packed.u) - 1, effort.coarse).round().astype(np.int64))
+    lengths = np.linalg.norm(packed.basis[coarse], axis=1)
+    # The look-up only says where to start: single precision does for voxels.
+    precision = np.float64 if effort.refine else np.float32
+    atoms, lead = _off_blood(packed.basis[coarse], blood=blood)
+    return kernel.Tables(
+        blood=packed.blood if blood else 0.0,
+        low=float(packed.u[0]),
+        spacing=spacing,
+        rows=np.ascontiguousarray(rows.T),
+        gram=gram,
+        own=np.stack([*upper, *(rows[first + a, 0] for a in range(4))], axis=1),
+        coarse=coarse,
+        atoms=atoms.astype(precision),
+        lead=lead.astype(precision),
+        near=(atoms @ atoms.T).astype(precision),
+        toward=gram[:, 2 * coarse] / lengths,
+        lean=packed.basis[coarse, 0] / lengths,
+        lengths=lengths,
+    )
+
+
+def _off_blood(chosen: Array, *, blood: bool) -> tuple[Array, Array]:
+    """Unit atoms for the look-up, off the blood axis where blood takes part, and their lean on it."""
     atoms = chosen.copy()
     if blood:
         atoms[:, 0] = 0.0
     length = np.linalg.norm(atoms, axis=1)
-    atoms /= length[:, None]
-    return np.ascontiguousarray(atoms), chosen[:, 0] / length, atoms @ atoms.T, norms
+    return atoms / length[:, None], chosen[:, 0] / length

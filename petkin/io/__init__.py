@@ -1,6 +1,6 @@
 """Files: PET-BIDS studies, images, blood, curves and results; traps are named, outputs appear whole or not at all."""
 
-from petkin.io.atomic import AtomicFolder, atomic_file, write_bytes, write_text
+from petkin.io.atomic import AtomicFolder, atomic_file, require_writable, write_bytes, write_text
 from petkin.io.bids import Scan, Study, read_study
 from petkin.io.blood import BloodRecord, join_recordings, read_blood
 from petkin.io.blood_checks import against_tissue, require_cover
@@ -54,6 +54,7 @@ __all__ = [
     "read_volumes",
     "require_cover",
     "require_same_grid",
+    "require_writable",
     "write_bytes",
     "write_input_table",
     "write_map",

@@ -127,6 +127,21 @@ def make_folder(folder: Path) -> None:
         raise _unwritable(folder, error) from error
 
 
+def require_writable(folder: Path) -> None:
+    """Whether `folder` can be made and written, before hours of work go into what would not find its place.
+
+    Raises:
+        InputError: it, or the nearest folder above it that exists, is a file or cannot be written.
+    """
+    nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise InputError(f"{nearest}: is a file, not a folder; choose another output folder.")
+    try:
+        Path(tempfile.mkdtemp(prefix=".petkin-", dir=nearest)).rmdir()
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
 def _refuse_to_leave(folder: Path, place: Path) -> None:
     if not place.parent.resolve().is_relative_to(folder.resolve()):
         raise InputError(

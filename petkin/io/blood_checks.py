@@ -11,7 +11,7 @@ from petkin.io.blood import BloodRecord
 from petkin.io.remarks import Remark, severe, warning
 from petkin.units import SECONDS_PER_MINUTE
 
-#: Blood must reach this share of the scan; the last value is held for the rest.
+#: Blood must reach this share of the scan; the input function goes on from its last samples for the rest.
 SHARE_OF_SCAN = 0.9
 #: Blood that lasts this many times the scan has its times in another unit than it says.
 _FAR_BEYOND = 20.0
@@ -20,7 +20,7 @@ _PLAUSIBLE_PEAK_RATIO = (0.05, 500.0)
 
 
 def require_cover(blood: BloodRecord, frames: FrameSchedule) -> tuple[Remark, ...]:
-    """Whether blood lasts as long as the scan; a remark where its last value is held to the end.
+    """Whether blood lasts as long as the scan; a remark where it ends early.
 
     Raises:
         InputError: no activity at all; it ends before 90 percent of the scan; or its times are in another unit.
@@ -41,7 +41,7 @@ def require_cover(blood: BloodRecord, frames: FrameSchedule) -> tuple[Remark, ..
         )
     if end < scan - 1 / SECONDS_PER_MINUTE:
         early = f"{scan_s - end_s:.4g} s before the last frame does"
-        text = f"Blood ends at {end_s:.6g} s, {early}; its last value is held until then."
+        text = f"Blood ends at {end_s:.6g} s, {early}; the input function is extrapolated until then."
         return (warning("blood-short", blood.where, text),)
     return ()
 

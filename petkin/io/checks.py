@@ -94,10 +94,11 @@ def stated_half_life(sidecar: PetSidecar) -> tuple[Remark, ...]:
     end = sidecar.frames.end[-1] * SECONDS_PER_MINUTE
     if not stated or stated <= 0 or abs(1 / stated - 1 / table) * np.log(2) * end < _DECAY_TOLERANCE:
         return ()
-    text = (
-        f"RadionuclideHalfLife is {stated:g} s but that of {sidecar.nuclide} is {table:.6g} s; the latter is used, and "
-        "a decay correction made with the former is off at late frames."
-    )
+    found = f"RadionuclideHalfLife is {stated:g} s but that of {sidecar.nuclide} is {table:.6g} s"
+    if sidecar.half_life * SECONDS_PER_MINUTE != table:
+        text = f"{found}; the image is not corrected for decay, and the former is used to correct it."
+    else:
+        text = f"{found}; the latter is used, and a decay correction made with the former is off at late frames."
     return (warning("half-life", sidecar.where, text),)
 
 

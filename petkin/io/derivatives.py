@@ -14,8 +14,8 @@ from petkin.io.regions import RegionalCurves, read_tacs, read_volumes
 from petkin.io.remarks import Remark, note, warning
 from petkin.io.sidecar import PetSidecar
 
-#: Tables named tacs that hold no curves.
-_NOT_CURVES = {"weights"}
+#: Labels (desc-) of tables named tacs that hold no measured curves: frame weights, and the truth of a simulation.
+_NOT_CURVES = {"weights", "noisefree"}
 _Found = TypeVar("_Found", RegionalCurves, Dseg)
 
 

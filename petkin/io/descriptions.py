@@ -23,6 +23,8 @@ MEASURE_UNITS = {
     "BPP": "mL cm-3",
     "R1": "unitless",
     "k2prime": "min-1",
+    "V0": "mL cm-3",
+    "intercept": "min",
     "delay": "s",
 }
 _DESCRIPTIONS = {
@@ -36,6 +38,8 @@ _DESCRIPTIONS = {
     "VND": "distribution volume of the non-displaceable compartment",
     "BPND": "binding potential relative to the non-displaceable compartment",
     "R1": "K1 over the reference region's K1",
+    "V0": "initial volume: tracer in blood and in fast exchange with it",
+    "intercept": "where the Logan plot's line meets the axis",
 }
 
 
@@ -58,6 +62,8 @@ def dataset_description(version: str, *, name: str, sources: Sequence[str] = ())
         "DatasetType": "derivative",
         "GeneratedBy": [{"Name": PIPELINE, "Version": version}],
         "SourceDatasets": [{"URL": source} for source in sources],
+        # what "bids:raw:..." in Sources stands for
+        **({"DatasetLinks": {"raw": sources[0]}} if sources else {}),
     }
 
 
@@ -75,9 +81,9 @@ def raw_description(name: str, version: str) -> dict[str, Any]:
 def provenance(
     model: str, *, sources: Sequence[str], version: str, command: str, extra: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Fields that maps and tables of a fit share: model, sources, what was chosen, software and command line."""
+    """Fields that maps and tables of a fit share: model (if any), sources, what was chosen, software, command line."""
     return {
-        "ModelName": model,
+        **({"ModelName": model} if model else {}),
         "Sources": list(sources),
         **extra,
         "SoftwareName": PIPELINE,

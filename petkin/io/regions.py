@@ -42,6 +42,7 @@ class RegionalCurves:
         where: file name.
         remarks: what was odd or converted.
         units: unit that the file states.
+        index: labels of the regions in their segmentation, (R,); None where curves came as a table.
     """
 
     names: tuple[str, ...]
@@ -53,6 +54,7 @@ class RegionalCurves:
     where: str = "the curves"
     remarks: tuple[Remark, ...] = ()
     units: str = "kBq/mL"
+    index: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.values.shape != (len(self.names), len(self.frames)):

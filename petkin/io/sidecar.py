@@ -84,9 +84,20 @@ class PetSidecar(BaseModel):
         return nuclide(self.tracer_radionuclide).symbol
 
     @property
+    def half_life(self) -> float:
+        """Half-life (min) with which values decay: the nuclide's.
+
+        Of an image that is not corrected, it is RadionuclideHalfLife where that is stated and within a factor of two
+        of the nuclide's: a simulation may let its frames decay by another law than nature's.
+        """
+        natural = nuclide(self.tracer_radionuclide).half_life
+        stated = units.minutes(self.radionuclide_half_life or 0.0)
+        return stated if not self.image_decay_corrected and natural / 2 < stated < natural * 2 else natural
+
+    @property
     def decay_constant(self) -> float:
-        """lambda of the radionuclide, 1/min."""
-        return units.decay_constant(nuclide(self.tracer_radionuclide).half_life)
+        """lambda of `half_life`, 1/min."""
+        return units.decay_constant(self.half_life)
 
     def to_time_zero(self, frames: FrameSchedule) -> NDArray[np.float64]:
         """Factors (K,) that take frame values as they are stored to values decay-corrected to time zero.

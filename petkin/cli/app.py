@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+from types import FrameType
 
 import typer
 
@@ -33,13 +35,29 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
         raise typer.Exit
 
 
+class _Stopped(BaseException):
+    """A signal that ends the program; not an Exception, so that nothing on the way out takes it for its own."""
+
+
+def _stop(number: int, _: FrameType | None) -> None:
+    raise _Stopped(number)
+
+
 def main() -> None:
-    """Run the command line; a `PetkinError` becomes one line on standard error and exit status 2."""
+    """Run the command line.
+
+    A `PetkinError` becomes one line on standard error and exit status 2, as does a disk that is full or gone; Ctrl-C
+    ends it with status 130, a termination with 143. Nothing half-written is left behind in any case.
+    """
+    before = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         app()
-    except PetkinError as error:
+    except (PetkinError, OSError) as error:
         print(f"petkin: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except _Stopped as stopped:
         print("petkin: interrupted; nothing half-written was left behind.", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(128 + stopped.args[0])
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -40,9 +40,10 @@ def fit(
         typer.Option(help="Which segmentation or table of curves, by its seg- label.", rich_help_panel=_INPUT),
     ] = None,
     blood: Annotated[
-        Path | None,
+        list[Path] | None,
         typer.Option(
-            help="Blood table: time (s), plasma_radioactivity, ... or a ready AIF column.", rich_help_panel=_INPUT
+            help="Blood table: time (s), plasma_radioactivity, ... or a ready AIF column; one a recording.",
+            rich_help_panel=_INPUT,
         ),
     ] = None,
     frames: Annotated[
@@ -52,7 +53,13 @@ def fit(
     isotope: Annotated[
         str | None, typer.Option(help="Radionuclide of an image outside BIDS, e.g. F18, C11.", rich_help_panel=_INPUT)
     ] = None,
-    units: Annotated[str, typer.Option(help="Unit of an image outside BIDS.", rich_help_panel=_INPUT)] = "kBq/mL",
+    units: Annotated[
+        str | None,
+        typer.Option(
+            help="Unit of an image outside BIDS. Default: what a JSON of frames states, or kBq/mL.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
     mask: Annotated[
         Path | None, typer.Option(help="Voxels to fit: an image that is 1 there.", rich_help_panel=_INPUT)
     ] = None,
@@ -124,7 +131,14 @@ def fit(
 
       petkin fit pet.nii.gz --blood blood.tsv --frames frames.json --isotope F18 --mask brain.nii.gz --model 2TCM3k
     """
-    from petkin.cli.parsing import bounds_by_symbol, delay_in_minutes, interval, numbers_by_symbol, typed_command
+    from petkin.cli.parsing import (
+        bounds_by_symbol,
+        delay_in_minutes,
+        interval,
+        labels,
+        numbers_by_symbol,
+        typed_command,
+    )
     from petkin.cli.progress import progress_bar
     from petkin.cli.tell import tell_fits
     from petkin.fitting import Choices
@@ -143,10 +157,10 @@ def fit(
         models=tuple(dict.fromkeys(model)),
         choices=choices,
         level=level,
-        subjects=tuple(s.removeprefix("sub-") for s in subject or ()),
-        sessions=tuple(s.removeprefix("ses-") for s in session or ()),
+        subjects=labels(subject, "sub-"),
+        sessions=labels(session, "ses-"),
         seg=seg,
-        blood=blood,
+        blood=tuple(blood or ()),
         frames=frames,
         mask=mask,
         dseg=dseg,

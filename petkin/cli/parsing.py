@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 
 from petkin.errors import InputError
@@ -37,9 +38,14 @@ def delay_in_minutes(text: str) -> str | float:
     return text if text == "estimate" else _number(text, text, "--delay") / 60.0
 
 
+def labels(given: list[str] | None, entity: str) -> tuple[str, ...]:
+    """Labels of subjects or sessions, each once, with or without the `sub-` or `ses-` that files write before them."""
+    return tuple(dict.fromkeys(label.removeprefix(entity) for label in given or ()))
+
+
 def typed_command() -> str:
     """The command as typed, without the program's folder."""
-    return " ".join(["petkin", *sys.argv[1:]])
+    return shlex.join(["petkin", *sys.argv[1:]])
 
 
 def _symbol(entry: str, option: str) -> str:

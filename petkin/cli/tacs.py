@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -18,14 +19,21 @@ def tacs(
         Path | None, typer.Option(help="Frame times of an image outside BIDS: TSV or JSON, in s.")
     ] = None,
     isotope: Annotated[str | None, typer.Option(help="Radionuclide of an image outside BIDS.")] = None,
-    units: Annotated[str, typer.Option(help="Unit of an image outside BIDS.")] = "kBq/mL",
+    units: Annotated[
+        str | None,
+        typer.Option(help="Unit of an image outside BIDS. Default: what a JSON of frames states, or kBq/mL."),
+    ] = None,
+    subject: Annotated[
+        list[str] | None, typer.Option(help="Only this subject (label without sub-); repeatable.")
+    ] = None,
+    session: Annotated[list[str] | None, typer.Option(help="Only this session; repeatable.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: derivatives/petkin.")] = None,
 ) -> None:
     """Extract regional time-activity curves: the mean over each region of a segmentation, frame by frame.
 
     Example: petkin tacs study --dseg atlas_dseg.nii.gz
     """
-    from petkin.cli.parsing import typed_command
+    from petkin.cli.parsing import labels, typed_command
     from petkin.cli.progress import progress_bar
     from petkin.study.extract import extract_tacs
     from petkin.study.request import FitRequest
@@ -34,6 +42,8 @@ def tacs(
         target=target,
         out=out,
         level="region",
+        subjects=labels(subject, "sub-"),
+        sessions=labels(session, "ses-"),
         seg=seg,
         dseg=dseg,
         frames=frames,
@@ -42,6 +52,8 @@ def tacs(
         command_line=typed_command(),
     )
     with progress_bar() as step:
-        written = extract_tacs(request, step)
+        written, remarks = extract_tacs(request, step)
+    for remark in remarks:
+        print(remark, file=sys.stderr)
     for path in written:
         print(path)

@@ -2,62 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
-from petkin.fitting import FitResult, Status, find_method
-from petkin.reporting import TruthRow
-from petkin.study.fit import Fitted
-from petkin.study.fit_scan import ScanFit
-from petkin.study.truth import known_truth
+    from petkin.fitting import FitResult
+    from petkin.reporting import TruthRow
+    from petkin.study.fit import Fitted, Outcome
+    from petkin.study.fit_scan import ScanFit
+
+#: Columns of text in a pipe or file, where no terminal says how wide it is: no table of petkin's is wider.
+_WIDE = 160
 
 
 def tell_fits(fitted: Sequence[Fitted]) -> None:
     """One table over all scans, the warnings, and where the reports are."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title="Fits", title_justify="left")
-    for heading in ("scan", "model", "level", "fitted", "flagged", "outcome (median)", "its SE (median)", "delay"):
-        table.add_column(heading, justify="left" if heading in ("scan", "model", "level") else "right")
+    console = _console()
+    table = _table("scan", "model", "level", right=("fitted", "flagged", "median", "its SE", "delay"))
     for one in fitted:
-        for level, results in (("region", one.fit.regional), ("voxel", one.fit.by_voxel)):
-            for result in results:
-                delay = f"{one.fit.applied[0] * 60:+.1f} s"
-                table.add_row(one.fit.source.label, result.model, level, *_figures(result), delay)
-    console = Console()
+        for outcome in one.outcomes:
+            delay = f"{one.fit.applied[0] * 60:+.1f} s"
+            table.add_row(one.fit.source.label, outcome.model, outcome.level, *_figures(outcome), delay)
     console.print(table)
-    for one in fitted:
-        for remark in one.fit.remarks:
-            console.print(f"{one.fit.source.label}: {remark}", markup=False, highlight=False, soft_wrap=True)
+    for line in _remarks(fitted):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     for one in fitted:
         console.print(f"Report: {one.report}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _figures(result: FitResult) -> tuple[str, str, str, str]:
-    """Counts, and the median of the outcome over the curves that are not in doubt."""
-    outcome = find_method(result.model).outcome
-    estimate = next(e for e in result.estimates if e.symbol == outcome)
-    sure = np.isin(result.status, (Status.OK, Status.AT_BOUND)) & np.isfinite(estimate.value)
-    fitted = int(np.isfinite(estimate.value).sum())
-    if not sure.any():
-        return str(fitted), str(fitted - result.count(Status.OK)), f"{outcome} n/a", "n/a"
-    errors = estimate.percent_se[sure]
-    se = f"{np.nanmedian(errors):.2g} %" if np.isfinite(errors).any() else "n/a"
-    flagged = fitted - result.count(Status.OK)
-    return str(fitted), str(max(flagged, 0)), f"{outcome} {np.median(estimate.value[sure]):.4g}", se
-
-
 def tell_errors(fitted: Sequence[Fitted], study: Path) -> None:
     """How far regional estimates lie from the truth of a simulated study, a line a model and quantity."""
-    from rich.console import Console
-    from rich.table import Table
+    from petkin.study.truth import known_truth
 
-    table = Table(title="Against the truth, by region", title_justify="left")
-    for heading in ("scan", "model", "quantity", "median |error|", "largest |error|", "within 2 SE"):
-        table.add_column(heading, justify="right" if "error" in heading or "SE" in heading else "left")
+    table = _table("scan", "model", "quantity", right=("median error", "largest error", "within 2 SE"))
     for one in fitted:
         truth = known_truth(study, one.fit.source)
         for result in one.fit.regional:
@@ -66,10 +48,50 @@ def tell_errors(fitted: Sequence[Fitted], study: Path) -> None:
                 if figures is not None:
                     table.add_row(one.fit.source.label, result.model, symbol, *figures)
     if table.row_count:
-        Console().print(table)
+        console = _console()
+        console.print("Against the truth, by region:")
+        console.print(table)
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    plain = Console()
+    return plain if plain.is_terminal else Console(width=_WIDE)
+
+
+def _table(*left: str, right: Sequence[str]) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in left:
+        table.add_column(heading, overflow="fold")
+    for heading in right:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def _remarks(fitted: Sequence[Fitted]) -> list[str]:
+    """Warnings of one scan in full; of several scans the first of each kind, and how many are like it."""
+    from petkin.study.inspect import group
+
+    if len(fitted) == 1:
+        return list(dict.fromkeys(map(str, fitted[0].fit.remarks)))
+    findings = group(remark for one in fitted for remark in one.fit.remarks)
+    return [f.sentence + (f" (and {f.count - 1} more alike, see the reports)" if f.count > 1 else "") for f in findings]
+
+
+def _figures(outcome: Outcome) -> tuple[str, str, str, str]:
+    counts = str(outcome.curves), str(outcome.flagged)
+    if math.isnan(outcome.median):
+        return *counts, f"{outcome.symbol} n/a", "n/a"
+    se = "n/a" if math.isnan(outcome.percent_se) else f"{outcome.percent_se:.2g} %"
+    return *counts, f"{outcome.symbol} {outcome.median:.4g}", se
 
 
 def _against(symbol: str, truth: Sequence[TruthRow], fit: ScanFit, result: FitResult) -> tuple[str, str, str] | None:
+    import numpy as np
+
     if fit.curves is None or symbol not in [e.symbol for e in result.estimates]:
         return None
     place = {name: i for i, name in enumerate(fit.curves.names)}

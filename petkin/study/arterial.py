@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 
@@ -9,9 +13,27 @@ from petkin import units
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
 from petkin.inputs import InputFunction, from_blood, from_table, input_table
-from petkin.io import require_cover
+from petkin.io import BloodRecord, Remark, join_recordings, read_blood_table, require_cover
+from petkin.io.blood_checks import against_image_unit, complete
+from petkin.io.names import FileName
 from petkin.study.request import FitRequest
 from petkin.study.sources import Source
+
+#: Rows from which on a table with an AIF in every row is a finished curve, not samples to be read between.
+_DENSE = 100
+
+
+def given_blood(paths: Sequence[Path]) -> BloodRecord | None:
+    """Recordings given by file; which is whose is told by recording-<label> in their names, else by their sampling."""
+    tables = {FileName.parse(path).entities.get("recording", str(path)): read_blood_table(path) for path in paths}
+    if len(tables) < len(paths):
+        raise InputError(f"--blood: {', '.join(path.name for path in paths)} are of one recording; give each one once.")
+    return join_recordings(tables) if tables else None
+
+
+def remarks_on_given(blood: BloodRecord, image_unit: str, frames: FrameSchedule) -> tuple[Remark, ...]:
+    """Remarks on blood that was given beside a scan, as a study's own blood gets them when it is read."""
+    return (*blood.remarks, *against_image_unit(blood, image_unit), *complete(blood), *require_cover(blood, frames))
 
 
 def arterial_input(source: Source, request: FitRequest) -> InputFunction:
@@ -20,30 +42,24 @@ def arterial_input(source: Source, request: FitRequest) -> InputFunction:
     Raises:
         InputError: no blood, blood too short, or columns missing.
     """
-    if source.blood is None:
+    blood = source.blood
+    if blood is None:
         raise InputError(
             f"{source.label}: there is no blood (_blood.tsv); these models need an arterial input: give --blood."
         )
-    blood = source.blood
     require_cover(blood, source.frames)
-    manual, automatic = blood.manual, blood.automatic
-    if manual is None:
-        manual, automatic = automatic, None
-    assert manual is not None
-    if _is_ready(manual):
-        return from_table(
-            manual["time"].to_numpy(),
-            manual["AIF"].to_numpy(),
-            manual["whole_blood_radioactivity"].to_numpy() if "whole_blood_radioactivity" in manual else None,
-            where=blood.where,
-        )
+    manual, *others = (table.dropna(axis="columns", how="all") for table in blood.tables)
+    automatic = others[0] if others else None
+    end = float(source.frames.end[-1])
+    if automatic is None and _is_ready(manual):
+        return _from_curve(manual, end, where=blood.where)
     return from_blood(
         manual,
         automatic,
         parent_fraction=request.parent_fraction,
         plasma_from=request.plasma_from,
-        dispersion=_dispersion(source, request) if automatic is not None else None,
-        scan_end=float(source.frames.end[-1]),
+        dispersion=_dispersion(blood, request, automatic is not None),
+        scan_end=end,
         required_until=float(source.frames.start[-1]),
         where=blood.where,
     )
@@ -54,20 +70,34 @@ def _is_ready(table: pd.DataFrame) -> bool:
     if "AIF" not in table:
         return False
     columns = [c for c in ("AIF", "whole_blood_radioactivity") if c in table]
-    return len(table) > 100 and bool(np.isfinite(table[columns].to_numpy(np.float64)).all())
+    return len(table) > _DENSE and bool(np.isfinite(table[columns].to_numpy(np.float64)).all())
 
 
-def _dispersion(source: Source, request: FitRequest) -> float | None:
-    """Time constant to correct for, min: as asked, else as stated by files that say they are not corrected."""
+def _from_curve(table: pd.DataFrame, scan_end: float, *, where: str) -> InputFunction:
+    whole, total = (table.get(name) for name in ("whole_blood_radioactivity", "plasma_radioactivity"))
+    found = from_table(
+        table["time"].to_numpy(),
+        table["AIF"].to_numpy(),
+        None if whole is None else whole.to_numpy(),
+        total_plasma=None if total is None or total.isna().any() else total.to_numpy(),
+        where=where,
+    )
+    if found.end >= scan_end:
+        return found
+    held = f"The curve ends at {found.end:.2f} min, the scan at {scan_end:.2f} min; its last value is held until then."
+    return replace(found, remarks=(*found.remarks, held))
+
+
+def _dispersion(blood: BloodRecord, request: FitRequest, sampled: bool) -> float | None:
+    """Time constant to correct an autosampler for, min: as asked, else as stated by files that are not corrected."""
     if request.dispersion_s is not None:
         return units.minutes(request.dispersion_s) or None
-    blood = source.blood
-    return None if blood is None or blood.dispersion_corrected else blood.dispersion_constant
+    return blood.dispersion_constant if sampled and not blood.dispersion_corrected else None
 
 
 def sampled_input(arterial: InputFunction, frames: FrameSchedule) -> pd.DataFrame:
-    """The input function on the grid that is written: 1 s for the first 10 min, 10 s later."""
+    """The input function on the grid that is written: 1 s for the first 10 min, 10 s later, and the end of the scan."""
     end = float(frames.end[-1])
     early = np.arange(0.0, min(10.0, end), 1.0 / 60.0)
-    late = np.arange(10.0, end + 1e-9, 10.0 / 60.0)
-    return input_table(arterial, np.concatenate([early, late]))
+    late = np.arange(10.0, end - 1e-9, 10.0 / 60.0)
+    return input_table(arterial, np.concatenate([early, late, [end]]))

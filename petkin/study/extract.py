@@ -2,39 +2,66 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from petkin import __version__
 from petkin.errors import InputError
-from petkin.io import AtomicFolder, read_regions, write_tacs
+from petkin.io import AtomicFolder, Regions, Remark, read_regions, write_tacs
 from petkin.io import descriptions as describe
 from petkin.io.names import tacs_path
 from petkin.study.fit_scan import Progress
-from petkin.study.outputs import write_study_description
+from petkin.study.outputs import require_own_folder, write_study_description
+from petkin.study.reading import read_sources
 from petkin.study.request import FitRequest
 from petkin.study.series import extract
-from petkin.study.sources import Source, read_sources
+from petkin.study.sources import Source
 
 
-def extract_tacs(request: FitRequest, progress: Progress) -> tuple[Path, ...]:
-    """Mean curves over the regions of every scan's segmentation; returns the tables written.
+def extract_tacs(request: FitRequest, progress: Progress) -> tuple[tuple[Path, ...], tuple[Remark, ...]]:
+    """Mean curves over the regions of every scan's segmentation.
+
+    Returns:
+        The tables written, and what was odd about the scans.
 
     Raises:
         InputError: a scan without image or segmentation, or grids that differ.
     """
-    name, out, sources = read_sources(request)
+    progress("reading", 0.0)
+    name, out, found = read_sources(request)
+    sources = [_without_blood(source) for source in found]
+    require_own_folder(out)
+    regions = [_regions(source) for source in sources]
     written = []
     for i, source in enumerate(sources):
         progress(source.label, i / len(sources))
-        written.append(_one(source, name, out, request))
+        written.append(_one(source, regions[i], name, out, request))
     progress("done", 1.0)
-    return tuple(written)
+    return tuple(written), tuple(dict.fromkeys(remark for source in sources for remark in source.remarks))
 
 
-def _one(source: Source, name: str, out: Path, request: FitRequest) -> Path:
-    if source.image is None or source.dseg is None:
-        raise InputError(f"{source.label}: curves need an image and a segmentation; give --dseg.")
-    _, curves = extract(source.image, source.frames, None, "", read_regions(source.dseg, source.image))
+def _without_blood(source: Source) -> Source:
+    """The scan as far as it concerns its curves."""
+    blood = set(source.blood.where.split(", ")) if source.blood is not None else set()
+    return replace(
+        source,
+        blood=None,
+        remarks=tuple(remark for remark in source.remarks if not set(remark.where.split(", ")) <= blood),
+        files=tuple(file for file in source.files if file.rpartition("/")[2] not in blood),
+    )
+
+
+def _regions(source: Source) -> Regions:
+    if source.dseg is None:
+        raise InputError(f"{source.label}: curves need a segmentation (_dseg.nii.gz); give --dseg.")
+    if source.image is None:
+        raise InputError(f"{source.label}: there is no image (_pet.nii.gz) to take curves from.")
+    return read_regions(source.dseg, source.image)
+
+
+def _one(source: Source, regions: Regions, name: str, out: Path, request: FitRequest) -> Path:
+    assert source.image is not None
+    _, curves = extract(source.image, source.frames, None, "", regions)
     assert curves is not None
     path = tacs_path(source.entities, seg=curves.seg, desc=curves.desc)
     shared = describe.provenance(
@@ -45,6 +72,6 @@ def _one(source: Source, name: str, out: Path, request: FitRequest) -> Path:
         extra={"Segmentation": curves.where},
     )
     with AtomicFolder(out) as folder:
-        write_study_description(folder, name)
+        write_study_description(folder, name, out=out, raw=request.target)
         write_tacs(folder.path(path), curves, describe.tacs_sidecar(shared))
     return out / path

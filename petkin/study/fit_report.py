@@ -7,6 +7,7 @@ from typing import Any
 
 import nibabel as nib
 import numpy as np
+from numpy.typing import NDArray
 
 from petkin import __version__
 from petkin.fitting import FitResult, Status, find_method
@@ -29,6 +30,15 @@ _OBSERVED = {
     "plain": "Frame values are time averages of the model over each frame.",
     "mid": "Frame values are the model at mid-frame, to compare with other programs; frame means are more accurate.",
 }
+_SEARCHED = (
+    "Weighted least squares of frame values. Every curve is searched over all pairs of rates within their interval and "
+    "polished by variable projection (Golub GH, Pereyra V. SIAM J Numer Anal 1973;10:413-432, doi:10.1137/0710036). "
+    "Standard errors: Gauss-Newton covariance scaled by WRSS / (n - p), delta method for macro-parameters; a parameter "
+    "on a bound counts as known."
+)
+_PLOTTED = (
+    "Weighted linear regression over the frames whose middle comes at or after t*; standard errors are the line's."
+)
 
 
 def build_report(fit: ScanFit, request: FitRequest, truth: tuple[TruthRow, ...] = ()) -> FitReport:
@@ -55,11 +65,22 @@ def build_report(fit: ScanFit, request: FitRequest, truth: tuple[TruthRow, ...] 
         scan=fit.source.facts,
         command_line=request.command_line,
         version=f"petkin {__version__}",
-        warnings=fit.remarks,
+        warnings=tuple(map(str, fit.remarks)),
         limits=tuple(dict.fromkeys(r for result in (*fit.regional, *fit.by_voxel) for r in result.remarks)),
-        methods=(_OBSERVED[request.observation], f"Weights: {fit.how_weighted}."),
+        methods=(_OBSERVED[request.observation], f"Weights: {fit.how_weighted}.", *_chosen(fit, request)),
         citations=("Innis RB et al. J Cereb Blood Flow Metab 2007;27:1533-1539, doi:10.1038/sj.jcbfm.9600493",),
     )
+
+
+def _chosen(fit: ScanFit, request: FitRequest) -> list[str]:
+    """Where the delay and the voxels come from."""
+    if not isinstance(request.delay, str):
+        delay = f"Delay of the input: {60 * request.delay:g} s, as asked."
+    elif fit.delay is None or fit.delay.at_end:
+        delay = "Delay of the input: none, because it could not be estimated."
+    else:
+        delay = "Delay of the input: where a compartment model with free blood volume fits the whole-brain curve best."
+    return [delay, *([fit.voxels.how] if fit.voxels is not None else [])]
 
 
 def _input(fit: ScanFit, until: float) -> InputCurves:
@@ -85,6 +106,7 @@ def _section(
         maps=None if voxel is None else _maps(voxel, fit),
         truth=_compared(truth, regional, fit),
         equations=(method.equation,),
+        methods=(_SEARCHED if method.comparable else _PLOTTED,),
         citations=(method.reference,),
         comparable=method.comparable,
     )
@@ -93,24 +115,28 @@ def _section(
 def _maps(result: FitResult, fit: ScanFit) -> MapSet:
     voxels = fit.voxels
     assert voxels is not None
-    affine = voxels.series.affine
     mm: Any = tuple(float(v) for v in voxels.series.voxel_mm)
+
+    def volume(values: NDArray[np.floating]) -> NDArray[np.float32]:
+        return voxels.volume(values.astype(np.float32), np.nan)
+
     return MapSet(
-        maps=tuple(
-            ParameterMap(
-                e.symbol,
-                e.unit,
-                voxels.volume(e.value.astype(np.float32), np.nan),
-                voxels.volume(e.percent_se.astype(np.float32), np.nan),
-            )
-            for e in result.estimates
+        maps=(
+            *(ParameterMap(e.symbol, e.unit, volume(e.value), volume(e.percent_se)) for e in result.estimates),
+            ParameterMap("chi2", "", volume(result.chi2)),
         ),
         status=voxels.volume(result.status, Status.OUTSIDE),
         voxel_mm=mm,
-        axes="".join(nib.aff2axcodes(affine)),
+        axes=_axes(voxels.series.affine),
         settings=result.settings,
         remarks=result.remarks,
     )
+
+
+def _axes(affine: NDArray[np.float64]) -> str:
+    """Direction of rising index along each array axis; "" where one of them has none."""
+    codes = nib.aff2axcodes(affine)
+    return "" if None in codes else "".join(map(str, codes))
 
 
 def _compared(truth: tuple[TruthRow, ...], regional: FitResult | None, fit: ScanFit) -> tuple[TruthRow, ...]:

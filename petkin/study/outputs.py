@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from pathlib import PurePosixPath
+import os
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from petkin import __version__
+from petkin.errors import InputError
 from petkin.fitting import FitResult, Status
-from petkin.io import AtomicFolder, json_text, names, write_input_table, write_map, write_table, write_tacs, write_text
+from petkin.io import (
+    AtomicFolder,
+    json_text,
+    names,
+    read_json,
+    require_writable,
+    write_input_table,
+    write_map,
+    write_table,
+    write_tacs,
+    write_text,
+)
 from petkin.io import descriptions as describe
 from petkin.study.arterial import sampled_input
 from petkin.study.fit_scan import ScanFit
 from petkin.study.request import FitRequest
 
+_DESCRIPTION = "dataset_description.json"
 _MEANINGS = {int(status): status.meaning for status in Status}
 
 
@@ -39,16 +53,34 @@ def write_scan(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> None:
             _write_maps(folder, fit, result, request)
 
 
-def write_study_description(folder: AtomicFolder, name: str) -> None:
-    """dataset_description.json of the results."""
-    text = json_text(describe.dataset_description(__version__, name=name, sources=["../.."]))
-    write_text(folder.path("dataset_description.json"), text)
+def require_own_folder(out: Path) -> None:
+    """Whether results may be written to `out`: it can be written, and is no dataset of somebody else's.
+
+    Raises:
+        InputError: it cannot be written, or its dataset_description.json is not petkin's.
+    """
+    require_writable(out)
+    description = out / _DESCRIPTION
+    if description.is_file():
+        made_by = read_json(description).get("GeneratedBy")
+        named = [entry.get("Name") for entry in made_by if isinstance(entry, dict)] if isinstance(made_by, list) else []
+        if names.PIPELINE not in named or read_json(description).get("DatasetType") != "derivative":
+            raise InputError(f"{out}: holds another dataset, whose description would be lost; choose another folder.")
+
+
+def write_study_description(folder: AtomicFolder, name: str, *, out: Path, raw: Path) -> None:
+    """dataset_description.json of the results at `out`, with the way from there to what was fitted."""
+    root = raw if raw.is_dir() else raw.parent
+    way = PurePosixPath(Path(os.path.relpath(root.resolve(), out.resolve()))).as_posix()
+    text = json_text(describe.dataset_description(__version__, name=name, sources=[way]))
+    write_text(folder.path(_DESCRIPTION), text)
 
 
 def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
     """index, name, then value and percent standard error of every quantity, chi2, aicc, status."""
     assert fit.curves is not None
-    columns: dict[str, Any] = {"index": np.arange(1, len(fit.curves.names) + 1), "name": list(fit.curves.names)}
+    index = fit.curves.index or tuple(range(1, len(fit.curves.names) + 1))
+    columns: dict[str, Any] = {"index": index, "name": fit.curves.names}
     for estimate in result.estimates:
         measure = describe.measure_name(estimate.symbol)
         columns[measure] = estimate.value

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from petkin.errors import InputError
-from petkin.fitting import Choices
+from petkin.fitting import Choices, Method, check_choices, find_method
+from petkin.inputs import PARENT_FRACTION_MODELS
 
 LEVELS = ("both", "region", "voxel")
 OBSERVATIONS = ("frame", "plain", "mid")
+PARENT_FRACTIONS = ("auto", *PARENT_FRACTION_MODELS, "interpolated", "none")
+PLASMA_SOURCES = ("plasma", "whole_blood")
+#: Longer delays (min) are times in another unit, or blood of another clock.
+_LONGEST_DELAY = 5.0
 
 
 @dataclass(frozen=True)
@@ -24,9 +30,10 @@ class FitRequest:
         level: both, region or voxel.
         subjects, sessions: labels to fit; empty for all.
         seg: which segmentation or table of curves, by its label; None for the first.
-        blood, frames, mask, dseg, tacs: files for an image outside BIDS, or instead of the study's.
+        blood: recordings (manual, autosampler) of an image outside BIDS, or instead of the study's.
+        frames, mask, dseg, tacs: files for an image outside BIDS, or instead of the study's.
         nuclide: radionuclide of an image outside BIDS.
-        units: activity unit of an image outside BIDS.
+        units: activity unit of an image outside BIDS; None takes what a JSON of frames states, or else kBq/mL.
         delay: "estimate", or minutes.
         weights: "counting", "constant", or a table with a column `weight`.
         observation: "frame" (decay-weighted mean), "plain" (time average) or "mid" (value at mid-frame).
@@ -44,13 +51,13 @@ class FitRequest:
     subjects: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ()
     seg: str | None = None
-    blood: Path | None = None
+    blood: tuple[Path, ...] = ()
     frames: Path | None = None
     mask: Path | None = None
     dseg: Path | None = None
     tacs: Path | None = None
     nuclide: str | None = None
-    units: str = "kBq/mL"
+    units: str | None = None
     delay: str | float = "estimate"
     weights: str = "counting"
     observation: str = "frame"
@@ -62,12 +69,37 @@ class FitRequest:
     def __post_init__(self) -> None:
         _one_of("level", self.level, LEVELS)
         _one_of("observation", self.observation, OBSERVATIONS)
+        _one_of("parent-fraction", self.parent_fraction, PARENT_FRACTIONS)
+        _one_of("plasma-from", self.plasma_from, PLASMA_SOURCES)
         if not self.models:
             raise InputError("No model was given; choose at least one, e.g. --model 2TCM.")
-        if isinstance(self.delay, str) and self.delay != "estimate":
-            raise InputError(f"The delay is {self.delay!r}; give 'estimate' or a number of minutes.")
+        object.__setattr__(self, "models", tuple(dict.fromkeys(find_method(label).label for label in self.models)))
+        check_choices(self.methods, self.choices)
+        _check_numbers(self)
+
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """What the models' labels stand for."""
+        return tuple(find_method(label) for label in self.models)
 
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
         raise InputError(f"--{name} is {value!r}; choose one of {', '.join(allowed)}.")
+
+
+def _check_numbers(request: FitRequest) -> None:
+    delay, t_star, dispersion = request.delay, request.choices.t_star, request.dispersion_s
+    if isinstance(delay, str) and delay != "estimate":
+        raise InputError(f"The delay is {delay!r}; give 'estimate' or a number of minutes.")
+    if not isinstance(delay, str) and not abs(delay) <= _LONGEST_DELAY:
+        raise InputError(
+            f"--delay is {60 * delay:g} s; blood and brain are at most {60 * _LONGEST_DELAY:g} s apart: give seconds."
+        )
+    twice = sorted(set(request.choices.bounds) & set(request.choices.fixed))
+    if twice:
+        raise InputError(f"{twice[0]} is given to --fix and to --bounds; hold it or bound it.")
+    if not 0 <= t_star < math.inf:
+        raise InputError(f"--t-star is {t_star:g}; give minutes from injection, 0 or more.")
+    if dispersion is not None and not 0 <= dispersion < math.inf:
+        raise InputError(f"--dispersion is {dispersion:g}; give a time constant in seconds, 0 or more.")

@@ -122,4 +122,5 @@ class _RegionSums:
             regions.desc,
             regions.volumes,
             f"{series.path.name} over {regions.where}",
+            index=regions.index,
         )

@@ -1,0 +1,96 @@
+"""What is decided once a scan, from the curve of the whole brain: frame weights and the delay of the input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.errors import InputError
+from petkin.fitting import Delay, counting_weights, estimate_delay
+from petkin.imaging import FrameObservation
+from petkin.inputs import InputFunction
+from petkin.io import RegionalCurves, read_table
+from petkin.io.tables import numbers
+from petkin.kinetics import ONE_TISSUE, TWO_TISSUE
+from petkin.study.request import FitRequest
+from petkin.study.series import VoxelCurves
+from petkin.study.sources import Source
+
+
+def whole_brain(voxels: VoxelCurves | None, curves: RegionalCurves | None) -> NDArray[np.float64]:
+    """Mean curve of all that is fitted (K,): voxels in the mask, else regions by volume where volumes are known.
+
+    Raises:
+        InputError: nothing to take a mean of.
+    """
+    if voxels is not None:
+        return voxels.mean
+    if curves is None:
+        raise InputError("There are neither voxels nor regions to fit.")
+    usable = np.isfinite(curves.values).all(axis=1) & (curves.values.sum(axis=1) > 0)
+    if not usable.any():
+        raise InputError(f"{curves.where}: no region holds finite values above zero.")
+    volumes = np.full(len(curves.names), np.nan) if curves.volumes is None else curves.volumes
+    known = volumes[usable]
+    usual = np.nanmean(known) if np.isfinite(known).any() else 1.0
+    return np.average(curves.values[usable], axis=0, weights=np.where(np.isfinite(known), known, usual))
+
+
+def frame_weights(whole: NDArray[np.float64], source: Source, request: FitRequest) -> tuple[NDArray[np.float64], str]:
+    """Frame weights (K,) as asked, and a sentence on them.
+
+    Raises:
+        InputError: no activity to derive them from; a table without a column `weight`, or of another length.
+    """
+    if request.weights == "counting":
+        if not whole.max() > 0:
+            raise InputError(f"{source.label}: the mean of all curves is nowhere above zero; is it the right mask?")
+        how = "w_k ~ d_k exp(-lambda t_k) / C_k of the whole-brain curve, mean 1 (counting noise)"
+        return counting_weights(whole, source.frames, source.decay), how
+    if request.weights == "constant":
+        return np.ones(len(whole)), "all frames weigh the same"
+    path = Path(request.weights)
+    if not path.is_file():
+        raise InputError(f"--weights {request.weights!r}: choose counting or constant, or give a table that exists.")
+    table = read_table(path)
+    if "weight" not in table or len(table) != len(whole):
+        raise InputError(
+            f"{path}: needs a column 'weight' with {len(whole)} rows, one a frame; it has {len(table)} rows."
+        )
+    weights = numbers(table, "weight", where=path.name)
+    if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
+        raise InputError(f"{path}: weights must be finite and not negative, and not all zero.")
+    return weights, f"from {path.name}"
+
+
+def shared_delay(
+    whole: NDArray[np.float64],
+    arterial: InputFunction,
+    observation: FrameObservation,
+    weights: NDArray[np.float64],
+    request: FitRequest,
+) -> tuple[Delay | None, tuple[float, float], str]:
+    """The estimate, if one was asked for; the delay to apply (min) with its error; and a warning, or "".
+
+    Raises:
+        InputError: too few frames to estimate it.
+    """
+    if not isinstance(request.delay, str):
+        return None, (float(request.delay), float("nan")), ""
+    counted = int(np.count_nonzero(weights))
+    model = TWO_TISSUE if counted > len(TWO_TISSUE.parameters) + 3 else ONE_TISSUE
+    if counted < len(model.parameters) + 2:
+        raise InputError(
+            f"{observation.frames.where}: {counted} frames with weight are too few to estimate the delay between blood "
+            "and brain; give --delay 0, or more frames."
+        )
+    found = estimate_delay(whole, arterial, observation, weights, model, rate_bounds=request.choices.rate_bounds)
+    if not found.at_end:
+        return found, (found.minutes, found.se), ""
+    text = (
+        f"The delay between blood and brain could not be estimated (it ran to {found.minutes * 60:.0f} s, an end of "
+        "the span): none was applied; check the blood's time zero, or give --delay."
+    )
+    return found, (0.0, float("nan")), text

@@ -65,8 +65,6 @@ def completed(source: Source, request: FitRequest) -> Source:
         InputError: what is to be fitted is not there, or image and curves do not share their frames.
     """
     label = source.label
-    if source.image is None and source.curves is None:
-        raise InputError(f"{label}: neither an image nor a table of regional curves to fit; see petkin info.")
     if source.image is None and (request.dseg or request.mask):
         option = "--dseg" if request.dseg else "--mask"
         raise InputError(
@@ -76,6 +74,8 @@ def completed(source: Source, request: FitRequest) -> Source:
         raise InputError(f"{label}: there is no image to fit by voxel; use --level region.")
     if request.level == "region" and source.curves is None and source.dseg is None:
         raise InputError(f"{label}: regions need --dseg or --tacs; there is neither a segmentation nor curves.")
+    if source.image is None and source.curves is None:
+        raise InputError(f"{label}: neither an image nor a table of regional curves to fit; see petkin info.")
     if source.curves is not None and source.image is not None:
         _require_same_frames(source.curves, source.frames)
     return replace(source, facts=(*source.facts, ("Frames", _span(source.frames))))

@@ -34,6 +34,7 @@ def fit_in_box(
     box: ParameterSet,
     *,
     starts: int,
+    tolerance: float,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Fit curves inside a box.
 
@@ -45,6 +46,7 @@ def fit_in_box(
         start: free optimum (N, P), moved into the box here.
         box: bounds and fixed values.
         starts: grid points to start from as well.
+        tolerance: a fit ends when its expected relative gain in cost falls below this.
 
     Returns:
         parameters (N, P), costs (N,), converged (N,).
@@ -53,10 +55,10 @@ def fit_in_box(
     middle = np.broadcast_to(box.start, start.shape)
     candidates = [np.clip(np.where(np.isfinite(start), start, middle), lower, upper)]
     if starts:
-        candidates += list(_grid_starts(model, packed, z, box, starts))
-    best = _polish(model, packed, z, sizes, candidates[0], lower, upper)
+        candidates += [np.clip(one, lower, upper) for one in _grid_starts(model, packed, z, box, starts)]
+    best = _polish(model, packed, z, sizes, candidates[0], lower, upper, tolerance)
     for candidate in candidates[1:]:
-        trial = _polish(model, packed, z, sizes, candidate, lower, upper)
+        trial = _polish(model, packed, z, sizes, candidate, lower, upper, tolerance)
         better = trial[1] < best[1]
         best = tuple(np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for new, old in zip(trial, best))
     return best  # type: ignore[return-value]
@@ -88,7 +90,14 @@ def _levels(lower: float, upper: float) -> Array:
 
 
 def _polish(
-    model: CompartmentModel, packed: Compression, z: Array, sizes: Array, start: Array, lower: Array, upper: Array
+    model: CompartmentModel,
+    packed: Compression,
+    z: Array,
+    sizes: Array,
+    start: Array,
+    lower: Array,
+    upper: Array,
+    tolerance: float,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     theta = start.copy()
     outside = sizes - (z * z).sum(axis=0)
@@ -120,9 +129,12 @@ def _polish(
         expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
         trial_cost = ((z.T[rows] - model_values(model, packed, here + step)) ** 2).sum(axis=1)
         better = trial_cost < cost[rows]
+        gain = cost[rows] - trial_cost
         theta[rows[better]] = (here + step)[better]
         cost[rows[better]] = trial_cost[better]
-        damping[rows] = np.where(better, np.maximum(damping[rows] * 0.1, 1e-12), np.maximum(damping[rows] * 10.0, 1e-4))
-        small = np.abs(expected) <= 1e-10 * (cost[rows] + np.maximum(outside[rows], 0.0)) + 1e-24 * sizes[rows]
+        # Steps that gain much less than expected overshoot: less damping would make them bounce from side to side.
+        factor = np.where(gain > 0.75 * expected, 0.1, np.where(gain > 0.25 * expected, 1.0, 4.0))
+        damping[rows] = np.maximum(damping[rows] * np.where(better, factor, 10.0), np.where(better, 1e-12, 1e-4))
+        small = np.abs(expected) <= tolerance * (cost[rows] + np.maximum(outside[rows], 0.0)) + 1e-24 * sizes[rows]
         active[rows[small | (damping[rows] > 1e10)]] = False
     return theta, cost + outside, ~active

@@ -14,7 +14,7 @@ from petkin.fitting.covariance import covariances
 from petkin.fitting.results import Estimate, FitResult, Status
 from petkin.fitting.search import REGIONS, Effort, search_exponentials
 from petkin.fitting.sensitivity import derivatives, model_values
-from petkin.fitting.table import RATE_OFFSET, Compression, build_table, compress
+from petkin.fitting.table import RATE_OFFSET, Compression, build_table, compress, project_rows
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 from petkin.kinetics import CompartmentModel
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 SLOWEST_RATE = 1e-3
 #: Fastest rate, 1/min: a half-life of 8 s.
 FASTEST_RATE = 5.0
+#: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
+_LARGEST = 1e30
 #: Curves handled together where arrays of curves x directions x parameters are needed.
 _CHUNK = 16384
 
@@ -82,7 +84,12 @@ def fit_curves(
     table = build_table(arterial, observation, rate_bounds=rates, nodes=settings.effort.nodes)
     tolerance = 0.0 if settings.effort.size is None else 1e-9
     if weights.ndim == 1:
-        return _fit_shared(curves, compress(table, weights, tolerance=tolerance, size=settings.effort.size), weights, settings)
+        return _fit_shared(
+            curves, compress(table, weights, tolerance=tolerance, size=settings.effort.size), weights, settings
+        )
+    if len(curves) == 0:
+        packed = compress(table, np.ones(curves.shape[1]), tolerance=tolerance, size=settings.effort.size)
+        return replace(_fit_shared(curves, packed, np.ones(curves.shape[1]), settings), weights=weights)
     distinct, which = np.unique(weights, axis=0, return_inverse=True)
     parts = [
         (np.flatnonzero(which == g), compress(table, w, tolerance=tolerance, size=settings.effort.size))
@@ -92,12 +99,16 @@ def fit_curves(
     return replace(_merge(results, len(curves)), weights=weights)
 
 
-def _check(curves: NDArray[np.floating], weights: Array, observation: FrameObservation, settings: NonlinearSettings) -> None:
+def _check(
+    curves: NDArray[np.floating], weights: Array, observation: FrameObservation, settings: NonlinearSettings
+) -> None:
     frames = len(observation.frames)
     if curves.ndim != 2 or curves.shape[1] != frames:
         raise InputError(f"Curves of shape {curves.shape} do not match {frames} frames; give one row a curve.")
     if weights.shape not in ((frames,), curves.shape):
-        raise InputError(f"Weights of shape {weights.shape} match neither the {frames} frames nor the curves {curves.shape}.")
+        raise InputError(
+            f"Weights of shape {weights.shape} match neither the {frames} frames nor the curves {curves.shape}."
+        )
     if not np.isfinite(weights).all() or (weights < 0).any():
         raise InputError("Frame weights must be finite and not negative.")
     free = len(settings.box.free)
@@ -129,46 +140,49 @@ def _box_is_free(settings: NonlinearSettings) -> bool:
 def _fit_shared(
     curves: NDArray[np.floating], packed: Compression, weights: Array, settings: NonlinearSettings
 ) -> FitResult:
-    finite = np.asarray(np.isfinite(curves).all(axis=1))
-    usable = np.where(finite[:, None], curves, 0.0)
-    z = packed.project @ usable.T.astype(np.float64)
-    sizes = np.einsum("nk,k,nk->n", usable, weights, usable, dtype=np.float64)
-    signal = finite & ((packed.basis.sum(axis=0) @ z) > 0)
-    theta, cost, converged = _estimate(z, sizes, packed, settings)
+    finite = np.asarray((np.abs(curves) < _LARGEST).all(axis=1))
+    usable = np.ascontiguousarray(np.where(finite[:, None], curves, 0.0), np.float64)
+    z = project_rows(packed.project, usable)
+    sizes = np.einsum("nk,k,nk->n", usable, weights, usable)
+    signal = finite & ((packed.basis.sum(axis=0)[:, None] * z).sum(axis=0) > 0)
+    theta, cost, converged = _estimate(z, sizes, signal, packed, settings)
     theta[~signal] = np.nan
     return _summarise(theta, cost, converged, finite, signal, packed, weights, settings)
 
 
 def _estimate(
-    z: Array, sizes: Array, packed: Compression, settings: NonlinearSettings
+    z: Array, sizes: Array, signal: NDArray[np.bool_], packed: Compression, settings: NonlinearSettings
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Parameters, costs and convergence: the free optimum, and a bounded fit for curves whose optimum leaves the box."""
     model, box = settings.model, settings.box
     vB = box["vB"]
-    found = search_exponentials(model, packed, z, sizes, settings.effort, blood=vB.upper > 0 and not (vB.fixed and vB.start == 0))
+    found = search_exponentials(
+        model, packed, z, sizes, settings.effort, blood=vB.upper > 0 and not (vB.fixed and vB.start == 0)
+    )
     with np.errstate(all="ignore"):
         rates = model.invert(*[(found.phi[:, m], found.rate[:, m]) for m in range(found.phi.shape[1])])
     theta = np.column_stack([*rates, found.vB])
+    theta[(found.phi == 0.0).all(axis=1), :-1] = [0.0, *box.start[1:-1]]  # blood alone: without K1 any rates will do
     cost, converged = found.cost.copy(), found.converged.copy()
     slack = ON_BOUND * (1.0 + np.abs(box.upper))
-    leaves = ~((theta >= box.lower - slack) & (theta <= box.upper + slack)).all(axis=1)
-    if _box_is_free(settings):
-        leaves &= np.isfinite(theta).all(axis=1)
+    leaves = signal & ~((theta >= box.lower - slack) & (theta <= box.upper + slack)).all(axis=1)
+    theta = np.clip(theta, box.lower, box.upper)
+    tolerance = max(1e-2 * settings.effort.tolerance, 1e-10)
     for rows in _chunks(np.flatnonzero(leaves)):
         theta[rows], cost[rows], converged[rows] = fit_in_box(
-            model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=settings.effort.starts
+            model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=settings.effort.starts, tolerance=tolerance
         )
     if settings.effort.refine:
-        rows = np.flatnonzero(~leaves & np.isfinite(theta).all(axis=1))
-        finer = fit_in_box(model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=0)
+        rows = np.flatnonzero(signal & ~leaves)
+        finer = fit_in_box(model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=0, tolerance=tolerance)
         kept = _inside_table(finer[0], packed, settings)
         for whole, part in zip((theta, cost, converged), finer):
             whole[rows[kept]] = part[kept]
-    return theta, cost, converged
+    return theta, np.maximum(cost, np.finfo(np.float64).eps * sizes), converged
 
 
 def _inside_table(theta: Array, packed: Compression, settings: NonlinearSettings) -> NDArray[np.bool_]:
-    """Whether all rates lie in the table's interval: the box alone lets a rate slip below it, where nothing is tabulated."""
+    """Whether all rates lie in the table: the box alone lets one slip below the slowest, where nothing is tabulated."""
     rates = np.stack([rate for _, rate in settings.model.impulse(*theta[:, :-1].T)], axis=1)
     slowest, fastest = np.exp(packed.u[[0, -1]]) - RATE_OFFSET
     return ((rates >= slowest - 1e-12) & (rates <= fastest + 1e-9)).all(axis=1)
@@ -199,7 +213,7 @@ def _summarise(
     for rows in _chunks(np.flatnonzero(np.isfinite(theta).all(axis=1))):
         values[rows], errors[rows], on_bound[rows] = _with_errors(theta[rows], chi2[rows], packed, settings)
     with np.errstate(all="ignore"):
-        percent = 100.0 * errors / np.abs(values)
+        percent = np.where(np.isfinite(values), 100.0 * errors / np.abs(values), np.nan)
     outcome = len(model.parameters)  # the first macro-parameter
     status = np.full(len(theta), Status.OK, np.uint8)
     status[on_bound] = Status.AT_BOUND
@@ -213,7 +227,9 @@ def _summarise(
     values[missing], percent[missing] = np.nan, np.nan
     p = free + 1
     with np.errstate(all="ignore"):
-        aicc = frames * np.log(cost / frames) + 2 * p + (2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan)
+        aicc = (
+            frames * np.log(cost / frames) + 2 * p + (2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan)
+        )
     predicted = _predict(theta, packed, weights, settings) if settings.keep_predicted else None
     return FitResult(
         model=model.label,
@@ -250,8 +266,13 @@ def _with_errors(
     # A rate that is no longer defined (k4 where k3 = 0) must not spoil macros that do not depend on it.
     chain = np.where(np.isfinite(chain), chain, 0.0)
     variance = ((chain @ covariance[:, :-1, :-1]) * chain).sum(axis=-1)
-    own = np.where(touching, np.nan, np.einsum("npp->np", covariance))
+    own = np.einsum("npp->np", covariance)
     errors = np.sqrt(np.maximum(np.hstack([own, variance]) * chi2[:, None], 0.0))
+    # What the curve does not feel at all has no variance there, which is to say an infinite one.
+    unfelt = (own == 0.0) & ~touching & ~fixed
+    spoilt = ((chain != 0.0) & unfelt[:, None, :-1]).any(axis=-1)
+    errors[np.hstack([unfelt, spoilt])] = np.inf
+    errors[:, : len(box)][touching] = np.nan
     return np.hstack([theta, macros]), errors, on_bound
 
 
@@ -260,7 +281,8 @@ def _predict(theta: Array, packed: Compression, weights: Array, settings: Nonlin
     curves = model_values(settings.model, packed, np.where(np.isfinite(theta), theta, 0.0))
     with np.errstate(all="ignore"):
         back = np.where(packed.root_weights > 0, packed.project / packed.root_weights**2, np.nan)
-    return np.where(np.isfinite(theta).all(axis=1, keepdims=True), curves @ back, np.nan)
+    fitted = project_rows(np.ascontiguousarray(back.T), curves).T
+    return np.where(np.isfinite(theta).all(axis=1, keepdims=True), fitted, np.nan)
 
 
 def _merge(parts: list[tuple[NDArray[np.intp], FitResult]], count: int) -> FitResult:
@@ -274,7 +296,12 @@ def _merge(parts: list[tuple[NDArray[np.intp], FitResult]], count: int) -> FitRe
         return whole
 
     estimates = tuple(
-        Estimate(e.symbol, e.unit, scatter(lambda r, i=i: r.estimates[i].value), scatter(lambda r, i=i: r.estimates[i].percent_se))
+        Estimate(
+            e.symbol,
+            e.unit,
+            scatter(lambda r, i=i: r.estimates[i].value),
+            scatter(lambda r, i=i: r.estimates[i].percent_se),
+        )
         for i, e in enumerate(first.estimates)
     )
     predicted = scatter(lambda r: r.predicted) if first.predicted is not None else None

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -140,3 +141,16 @@ def compress(table: BasisTable, weights: Array, *, tolerance: float = 0.0, size:
     if size is not None and len(axes) < size:
         axes = np.vstack([axes, np.zeros((size - len(axes), axes.shape[1]))])
     return Compression(axes * root, root, weighted @ axes.T, (table.slope * root) @ axes.T, length, table.u)
+
+
+@njit(cache=True, parallel=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, error_model="numpy")
+def project_rows(axes: Array, rows: Array) -> Array:
+    """axes @ rows.T, to the bit the same for a row whatever stands beside it (a library's product is not)."""
+    answer = np.empty((axes.shape[0], rows.shape[0]))
+    for n in prange(rows.shape[0]):
+        for r in range(axes.shape[0]):
+            total = 0.0
+            for k in range(axes.shape[1]):
+                total += axes[r, k] * rows[n, k]
+            answer[r, n] = total
+    return answer

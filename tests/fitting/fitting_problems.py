@@ -1,4 +1,4 @@
-"""Curves with known truth for the tests of fitting, made without petkin: own input, own solution, own frame averages."""
+"""Curves with known truth for the tests of fitting, made without petkin: input, solution and frame averages its own."""
 
 from __future__ import annotations
 

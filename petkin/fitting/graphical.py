@@ -76,7 +76,7 @@ def fit_logan(
     weights: Array,
     settings: GraphicalSettings,
 ) -> FitResult:
-    """VT and the intercept of every curve (N, K); noise enters both axes and biases VT low (Slifstein & Laruelle 2000)."""
+    """VT and the intercept of every curve (N, K); noise enters both axes and biases VT low (Slifstein 2000)."""
     late = _late(observation, settings)
     frames = observation.frames
     mid = torch.tensor(frames.mid)

@@ -41,7 +41,7 @@ def _stack(results: Any) -> Any:
 
 
 def read_basis(packed: Compression, rate: Array) -> tuple[Array, Array]:
-    """B(a) and dB/da at rates (N,), each (N, R), by the same Hermite reading as the kernel; rates outside end at the table's ends."""
+    """B(a) and dB/da at rates (N,), each (N, R), read as the kernel does; rates outside the table end at its ends."""
     spacing = float(packed.u[1] - packed.u[0])
     u = np.clip(np.log(rate + RATE_OFFSET), packed.u[0], packed.u[-1])
     x = (u - packed.u[0]) / spacing
@@ -50,7 +50,9 @@ def read_basis(packed: Compression, rate: Array) -> tuple[Array, Array]:
     lower, upper = packed.basis[i], packed.basis[i + 1]
     rise, fall = packed.slope[i] * spacing, packed.slope[i + 1] * spacing
     value = lower + s * (rise + s * (3 * (upper - lower) - 2 * rise - fall + s * (2 * (lower - upper) + rise + fall)))
-    slope = (rise + s * (2 * (3 * (upper - lower) - 2 * rise - fall) + s * 3 * (2 * (lower - upper) + rise + fall))) / spacing
+    slope = (
+        rise + s * (2 * (3 * (upper - lower) - 2 * rise - fall) + s * 3 * (2 * (lower - upper) + rise + fall))
+    ) / spacing
     return value, slope / (rate + RATE_OFFSET)[:, None]
 
 

@@ -57,17 +57,15 @@ class FrameSchedule:
         cls, start_s: ArrayLike, duration_s: ArrayLike, *, where: str = "the frame schedule"
     ) -> FrameSchedule:
         """From starts and durations in seconds, as sidecars give them."""
-        start: NDArray[np.float64] = np.asarray(start_s, np.float64)
-        duration: NDArray[np.float64] = np.asarray(duration_s, np.float64)
+        start, duration = np.asarray(start_s, np.float64), np.asarray(duration_s, np.float64)
         if start.shape != duration.shape:
             raise InputError(f"{where}: {start.size} values in FrameTimesStart but {duration.size} in FrameDuration.")
-        edges = (start / SECONDS_PER_MINUTE, (start + duration) / SECONDS_PER_MINUTE)
-        return cls(edges[0].astype(np.float64), edges[1].astype(np.float64), where=where)
+        return cls(start / SECONDS_PER_MINUTE, (start + duration) / SECONDS_PER_MINUTE, where=where)
 
     @classmethod
     def uniform(cls, count: int, duration: float) -> FrameSchedule:
         """`count` frames of `duration` minutes from time zero."""
-        edges = np.arange(count + 1) * duration
+        edges = np.linspace(0.0, count * duration, count + 1)
         return cls(edges[:-1], edges[1:])
 
     def __len__(self) -> int:

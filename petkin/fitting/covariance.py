@@ -1,4 +1,9 @@
-"""Standard errors of every curve: the compiled Gauss-Newton covariance."""
+"""Standard errors of every curve: the compiled Gauss-Newton covariance, many curves in step as in `lanes`.
+
+The column of a parameter in the Jacobian is a combination of five vectors, the blood's axis, both atoms and both of
+their derivatives, whose inner products are tabulated: J^T W J = C^T G C with G 5 x 5, no vector of frames is touched.
+Where that loses digits (two rates nearly the same), the columns are built and orthogonalised one curve at a time.
+"""
 
 from __future__ import annotations
 
@@ -6,40 +11,18 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from petkin.fitting.sensitivity import derivatives
-from petkin.fitting.table import RATE_OFFSET, Compression
+from petkin.fitting import lanes
+from petkin.fitting.dual import partials
+from petkin.fitting.lanes import LANES, OWN, VECTORS
+from petkin.fitting.normal import invert, normal_equations, orthogonalise
+from petkin.fitting.table import RATE_OFFSET, Compression, InnerProducts
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
-_FAST = {"reassoc", "contract", "nsz", "arcp"}
 
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def read(basis, slope, low, spacing, u, b, d):
-    """Cubic Hermite reading of b(u) and db/du."""
-    x = (u - low) / spacing
-    i = min(max(int(x), 0), basis.shape[0] - 2)
-    s = x - i
-    s2 = s * s
-    s3 = s2 * s
-    h00 = 2.0 * s3 - 3.0 * s2 + 1.0
-    h10 = (s3 - 2.0 * s2 + s) * spacing
-    h01 = 3.0 * s2 - 2.0 * s3
-    h11 = (s3 - s2) * spacing
-    p00 = (6.0 * s2 - 6.0 * s) / spacing
-    p10 = 3.0 * s2 - 4.0 * s + 1.0
-    p11 = 3.0 * s2 - 2.0 * s
-    for r in range(basis.shape[1]):
-        b[r] = h00 * basis[i, r] + h10 * slope[i, r] + h01 * basis[i + 1, r] + h11 * slope[i + 1, r]
-        d[r] = p00 * (basis[i, r] - basis[i + 1, r]) + p10 * slope[i, r] + p11 * slope[i + 1, r]
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def dot(a, b):
-    total = 0.0
-    for r in range(a.shape[0]):
-        total += a[r] * b[r]
-    return total
+_STRICT = {"contract", "nsz"}
+#: Relative error of a pivot from which on a curve is done again.
+_LOST = 1e-6
 
 
 def covariances(model: CompartmentModel, packed: Compression, parameters: Array, held: NDArray[np.bool_]) -> Array:
@@ -54,78 +37,158 @@ def covariances(model: CompartmentModel, packed: Compression, parameters: Array,
     Returns:
         (N, P, P): zero rows for held parameters; 1e30 times the scale where the rest cannot be told apart.
     """
-    exponentials, chain = derivatives(
-        lambda *k: tuple(v for pair in model.impulse(*k) for v in pair), parameters[:, :-1]
-    )
-    spacing = float(packed.u[1] - packed.u[0])
-    vB = np.ascontiguousarray(parameters[:, -1])
-    return _invert_all(
-        packed.basis, packed.slope, float(packed.u[0]), spacing, packed.blood, exponentials, chain, vB, held
-    )
+    columns = [np.ascontiguousarray(column) for column in parameters.T]
+    exponentials, chain = impulse_partials(model, columns[:-1])
+    answer = np.empty((parameters.shape[1], parameters.shape[1], len(parameters)))
+    none = np.empty((0, len(columns) - 1, len(parameters)))
+    _run(packed.products, columns, exponentials, chain, held.T, none, answer, np.empty((0, len(parameters))))
+    return np.moveaxis(answer, -1, 0)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _invert_all(basis, slope, low, spacing, blood, exponentials, chain, vB, held):
-    count, size, rates = len(vB), basis.shape[1], chain.shape[2]
-    pairs = exponentials.shape[1] // 2
-    p = rates + 1
-    answer = np.zeros((count, p, p))
-    high = low + spacing * (basis.shape[0] - 1)
-    for n in prange(count):
-        columns = np.zeros((p, size))
-        b, d = np.empty(size), np.empty(size)
-        for m in range(pairs):
-            phi, rate = exponentials[n, 2 * m], exponentials[n, 2 * m + 1]
-            u = min(max(np.log(rate + RATE_OFFSET), low), high)
-            read(basis, slope, low, spacing, u, b, d)
-            speed = phi / (rate + RATE_OFFSET)
-            for q in range(rates):
-                up, across = chain[n, 2 * m, q] * (1.0 - vB[n]), chain[n, 2 * m + 1, q] * speed * (1.0 - vB[n])
-                for r in range(size):
-                    columns[q, r] += up * b[r] + across * d[r]
-            for r in range(size):
-                columns[rates, r] -= phi * b[r]
-        columns[rates, 0] += blood
-        _invert(columns, held[n], answer[n])
+def variances(
+    products: InnerProducts,
+    parameters: Array,
+    exponentials: Array,
+    chain: Array,
+    held: NDArray[np.bool_],
+    macro_chain: Array,
+) -> Array:
+    """Variances of the parameters, then of the macro-parameters, (P + M, N), for weights that are inverse variances.
+
+    Args:
+        products: inner products of the compressed table.
+        parameters: (P, N).
+        exponentials: phi_1, a_1, phi_2, ... (2 m, N).
+        chain: their derivatives by the rate constants (2 m, P - 1, N).
+        held: (P, N), parameters that count as known.
+        macro_chain: derivatives of the macro-parameters by the rate constants (M, P - 1, N).
+    """
+    count = parameters.shape[1]
+    answer = np.empty((len(held) + len(macro_chain), count))
+    _run(products, list(parameters), exponentials, chain, held, macro_chain, np.empty((0, 0, count)), answer)
     return answer
 
 
+def impulse_partials(model: CompartmentModel, rates: list[Array]) -> tuple[Array, Array]:
+    """phi_1, a_1, phi_2, ... (2 m, N) of a model and their derivatives by the rate constants (2 m, P - 1, N)."""
+    return partials(lambda *k: tuple(number for pair in model.impulse(*k) for number in pair), rates)
+
+
+def _run(
+    products: InnerProducts,
+    columns: list[Array],
+    exponentials: Array,
+    chain: Array,
+    held: NDArray[np.bool_],
+    macro_chain: Array,
+    covariance: Array,
+    variance: Array,
+) -> None:
+    count = len(columns[0])
+    if count % LANES:
+        # A remainder loop might round another way than the rest: fill up, so that there is none.
+        spare = LANES - count % LANES
+        columns, exponentials, chain = (
+            [_fill(c, spare) for c in columns],
+            _fill(exponentials, spare),
+            _fill(chain, spare),
+        )
+        held, macro_chain = _fill(held, spare), _fill(macro_chain, spare)
+        wide, long = _fill(covariance, spare), _fill(variance, spare)
+        _run(products, columns, exponentials, chain, held, macro_chain, wide, long)
+        covariance[:], variance[:] = wide[..., :count], long[..., :count]
+        return
+    speed = 1.0 / ((exponentials[1::2] + RATE_OFFSET) * products.spacing)
+    last = float(len(products.own))
+    position = np.clip((np.log(exponentials[1::2] + RATE_OFFSET) - products.low) / products.spacing, 0.0, last)
+    position = np.where(np.isfinite(position), position, 0.0)
+    _all(
+        products.rows, products.gram, products.own, products.blood, position, exponentials[::2], speed, chain,
+        np.stack(columns), np.ascontiguousarray(held), macro_chain, covariance, variance,
+    )  # fmt: skip
+
+
+def _fill(array: NDArray, spare: int) -> NDArray:
+    return np.concatenate([array, np.zeros((*array.shape[:-1], spare), array.dtype)], axis=-1)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _all(rows, gram, own, blood, position, phi, speed, chain, theta, held, macro_chain, covariance, variance):
+    p, count = theta.shape
+    for block in prange(count // LANES):
+        start = block * LANES
+        work = np.zeros((lanes.PRODUCTS + VECTORS * VECTORS) * LANES)
+        column = np.zeros((p + 1, VECTORS, LANES))
+        normal, inverse = np.empty((p, p, LANES)), np.zeros((p, p, LANES))
+        scale, lost = np.zeros((p, LANES)), np.empty(LANES)
+        _gather(work, start, gram, own, position)
+        lanes.inner_products(work)
+        _columns(start, blood, phi, speed, chain, theta[p - 1], column)
+        normal_equations(
+            work, column, theta[:, start : start + LANES], held[:, start : start + LANES], normal, scale, lost
+        )
+        invert(normal, inverse, scale, lost)
+        for n in range(LANES):
+            if lost[n] > _LOST:
+                orthogonalise(rows, position[:, start + n], column[:, :, n], scale[:, n], normal[:, :, n])
+        _hand_over(start, normal, macro_chain, covariance, variance)
+
+
 @njit(cache=True, error_model="numpy")
-def _invert(columns, held, out):
-    """Inverse of the Gram matrix of the free columns, scaled to unit diagonal, by Cholesky."""
-    p = columns.shape[0]
-    free = np.empty(p, np.int64)
-    scale = np.empty(p)
-    count = 0
-    for q in range(p):
-        norm = np.sqrt(dot(columns[q], columns[q]))
-        if not held[q] and norm > 0.0 and np.isfinite(norm):
-            free[count] = q
-            scale[count] = norm
-            count += 1
-    lower = np.zeros((count, count))
-    for i in range(count):
-        for j in range(i + 1):
-            value = dot(columns[free[i]], columns[free[j]]) / (scale[i] * scale[j])
-            for k in range(j):
-                value -= lower[i, k] * lower[j, k]
-            if i == j:
-                lower[i, i] = np.sqrt(value) if value > 1e-14 else 1e-15
-            else:
-                lower[i, j] = value / lower[j, j]
-    inverse = np.zeros((count, count))  # of the lower triangle
-    for i in range(count):
-        inverse[i, i] = 1.0 / lower[i, i]
-        for j in range(i):
-            value = 0.0
-            for k in range(j, i):
-                value -= lower[i, k] * inverse[k, j]
-            inverse[i, j] = value / lower[i, i]
-    for i in range(count):
-        for j in range(i + 1):
-            value = 0.0
-            for k in range(i, count):
-                value += inverse[k, i] * inverse[k, j]
-            value /= scale[i] * scale[j]
-            out[free[i], free[j]] = value
-            out[free[j], free[i]] = value
+def _gather(work, start, gram, own, position):
+    """What the inner products need at every curve's rates; an absent second atom sits at the first node."""
+    last, two = np.uint64(own.shape[0] - 1), np.uint64(2)
+    for n in range(LANES):
+        x = position[0, start + n]
+        y = position[1, start + n] if position.shape[0] > 1 else 0.0
+        i, j = min(np.uint64(x), last), min(np.uint64(y), last)
+        work[lanes.FRACTION_1 * LANES + n], work[lanes.FRACTION_2 * LANES + n] = x - i, y - j
+        for k in range(OWN):
+            work[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
+            work[(lanes.OWN_2 + k) * LANES + n] = own[j, np.uint64(k)]
+        for k in range(4):
+            for m in range(4):
+                work[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[two * j + np.uint64(k), two * i + np.uint64(m)]
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def _columns(start, blood, phi, speed, chain, vB, column):
+    """Every parameter's column, and last the curve itself, as combinations of the five vectors."""
+    rates = chain.shape[1]
+    for m in range(phi.shape[0]):
+        for q in range(rates):
+            for n in range(LANES):
+                tissue = 1.0 - vB[start + n]
+                column[q, 1 + 2 * m, n] = chain[2 * m, q, start + n] * tissue
+                moved = chain[2 * m + 1, q, start + n] * phi[m, start + n] * speed[m, start + n]
+                column[q, 2 + 2 * m, n] = moved * tissue
+        for n in range(LANES):
+            column[rates, 1 + 2 * m, n] = -phi[m, start + n]
+            column[rates + 1, 1 + 2 * m, n] = phi[m, start + n] * (1.0 - vB[start + n])
+    for n in range(LANES):
+        column[rates, 0, n] = blood
+        column[rates + 1, 0, n] = blood * vB[start + n]
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def _hand_over(start, normal, macro_chain, covariance, variance):
+    """Covariances, or variances of parameters and of what follows from them, as far as asked for."""
+    p = normal.shape[0]
+    for i in range(covariance.shape[0]):
+        for j in range(covariance.shape[0]):
+            for n in range(LANES):
+                covariance[i, j, start + n] = normal[max(i, j), min(i, j), n]
+    if variance.shape[0] == 0:
+        return
+    for i in range(p):
+        for n in range(LANES):
+            variance[i, start + n] = normal[i, i, n]
+    for m in range(macro_chain.shape[0]):
+        for n in range(LANES):
+            variance[p + m, start + n] = 0.0
+        for i in range(p - 1):
+            for j in range(i + 1):
+                twice = 1.0 if i == j else 2.0
+                for n in range(LANES):
+                    both = macro_chain[m, i, start + n] * macro_chain[m, j, start + n]
+                    variance[p + m, start + n] += twice * both * normal[i, j, n]

@@ -20,7 +20,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from petkin.fitting import lanes
-from petkin.fitting.lanes import LANES, OWN, ROWS
+from petkin.fitting.lanes import LANES, OWN, REGISTER, ROWS
 from petkin.fitting.look_up import GROUP, PAIR, SINGLE, look_up
 
 #: Curves that a thread works through at a time: what it keeps of them fits the second-level cache.
@@ -134,9 +134,9 @@ def _fit_block(z, sizes, start, tables, kind, tolerance, again, answer):
         if used == 0:
             break
         _gather(work, used, curve, gram, own, seen, kind)
-        width = (used + 7) // 8 * 8
-        lanes.evaluate(work, width, blood, second, free)
-        lanes.propose(work, width, last, reach, tolerance)
+        registers = (used + REGISTER - 1) // REGISTER
+        lanes.evaluate(work, registers, blood, second, free)
+        lanes.propose(work, registers, last, reach, tolerance)
         n = 0
         while n < used:
             if work[lanes.DONE * LANES + n] == 0.0:

@@ -22,7 +22,9 @@ from numba import njit
 #: that rows do not overlap.
 LANES = 32
 
-#: No reassociation: a lane's result must not depend on where in a register it is computed.
+#: Lanes are worked through in whole registers of eight numbers, never in a remainder loop that might round another way:
+#: a curve's result does not depend on its neighbours, to the bit. For the same reason sums are not reassociated.
+REGISTER = 8
 _STRICT = {"contract", "nsz"}
 
 #: Steps after which a polish gives up.
@@ -35,6 +37,8 @@ STATE = 19
 # ... and what is gathered at its trial: fractions between nodes, records of `own`, rows on the curve, their Gram block.
 FRACTION_1, FRACTION_2, OWN_1, OWN_2, SEEN_1, SEEN_2, CROSS = 19, 20, 21, 35, 49, 53, 57
 ROWS = 73
+#: For standard errors: inner products of the blood axis, b1, b1', b2, b2', five by five.
+PRODUCTS, VECTORS = 73, 5
 
 #: Entries of a record of `own`: see `search`.
 OWN = 14
@@ -172,17 +176,17 @@ def _inverse(on1, on2, g11, g12, g22):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def evaluate(w, count, blood, second, free):
+def evaluate(w, registers, blood, second, free):
     """Amplitudes and gain at every lane's trial; where they beat the state they become it, with their derivatives.
 
     Args:
         w: scratch, ROWS * LANES.
-        count: lanes in use, a multiple of 8.
+        registers: lanes in use, in multiples of REGISTER.
         blood: length of the blood atom.
         second, free: 1.0 where there is a second atom, and where its rate is free, else 0.0.
     """
     g00 = blood * blood
-    for n in range(count):
+    for n in range(registers * REGISTER):
         a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
         g11, c11, d11, l1, k1 = _own(w, OWN_1, n, a, e)
         h1, m1 = _combine(w, SEEN_1, n, a), _combine(w, SEEN_1, n, e)
@@ -237,17 +241,17 @@ def _take(w, n, x0, x1, x2, gain, s1, s2, j11, j12, j22):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def propose(w, count, last, reach, tolerance):
+def propose(w, registers, last, reach, tolerance):
     """The next trial of every lane, and which lanes are done.
 
     Args:
         w: scratch.
-        count: lanes in use, a multiple of 8.
+        registers: lanes in use, in multiples of REGISTER.
         last: last position of the table.
         reach: largest step.
         tolerance: a lane is done when its expected relative gain in cost falls below this.
     """
-    for n in range(count):
+    for n in range(registers * REGISTER):
         x, y = w[POSITION_1 * LANES + n], w[POSITION_2 * LANES + n]
         s1, s2 = w[SLOPE_1 * LANES + n], w[SLOPE_2 * LANES + n]
         j11, j12, j22 = w[CURVE_11 * LANES + n], w[CURVE_12 * LANES + n], w[CURVE_22 * LANES + n]
@@ -288,3 +292,30 @@ def propose(w, count, last, reach, tolerance):
         w[EXPECTED * LANES + n] = expected
         w[DONE * LANES + n] = 1.0 if done else 0.0
         w[STEPS * LANES + n] = steps if done else steps + 1.0
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def inner_products(w):
+    """Gram matrix of the blood axis, b1, db1/dx, b2 and db2/dx at every lane's trial, into rows PRODUCTS and on."""
+    for n in range(LANES):
+        a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
+        g11, c11, d11, l1, k1 = _own(w, OWN_1, n, a, e)
+        p, q = value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
+        g22, c22, d22, l2, k2 = _own(w, OWN_2, n, p, q)
+        u0, u1, u2, u3 = _across(w, n, a)
+        v0, v1, v2, v3 = _across(w, n, e)
+        g12 = u0 * p[0] + u1 * p[1] + u2 * p[2] + u3 * p[3]
+        c21 = u0 * q[0] + u1 * q[1] + u2 * q[2] + u3 * q[3]
+        c12 = v0 * p[0] + v1 * p[1] + v2 * p[2] + v3 * p[3]
+        d12 = v0 * q[0] + v1 * q[1] + v2 * q[2] + v3 * q[3]
+        _store_row(w, n, 0, 1.0, l1, k1, l2, k2)
+        _store_row(w, n, 1, l1, g11, c11, g12, c21)
+        _store_row(w, n, 2, k1, c11, d11, c12, d12)
+        _store_row(w, n, 3, l2, g12, c12, g22, c22)
+        _store_row(w, n, 4, k2, c21, d12, c22, d22)
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _store_row(w, n, row, v0, v1, v2, v3, v4):
+    k = (PRODUCTS + VECTORS * row) * LANES + n
+    w[k], w[k + LANES], w[k + 2 * LANES], w[k + 3 * LANES], w[k + 4 * LANES] = v0, v1, v2, v3, v4

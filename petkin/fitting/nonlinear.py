@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from petkin.dynamics import ParameterSet
 from petkin.errors import InputError
 from petkin.fitting.bounded import ON_BOUND, fit_in_box
-from petkin.fitting.covariance import covariances
-from petkin.fitting.results import Estimate, FitResult, Status
-from petkin.fitting.search import REGIONS, Effort, search_exponentials
-from petkin.fitting.sensitivity import derivatives, model_values
+from petkin.fitting.kernel import Tables
+from petkin.fitting.projection import project_curves
+from petkin.fitting.results import Estimate, FitResult
+from petkin.fitting.search import REGIONS, Effort, search_among, search_tables
+from petkin.fitting.sensitivity import model_values
+from petkin.fitting.summary import Judge, Optimum
 from petkin.fitting.table import RATE_OFFSET, Compression, build_table, compress, project_rows
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
@@ -25,8 +27,6 @@ Array = NDArray[np.float64]
 SLOWEST_RATE = 1e-3
 #: Fastest rate, 1/min: a half-life of 8 s.
 FASTEST_RATE = 5.0
-#: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
-_LARGEST = 1e30
 #: Curves handled together where arrays of curves x directions x parameters are needed.
 _CHUNK = 16384
 
@@ -41,6 +41,7 @@ class NonlinearSettings:
         rate_bounds: interval of the exponentials' rates, 1/min. It regularises noisy voxels.
         effort: `REGIONS` (to rounding) or `VOXELS` (a microsecond each).
         keep_predicted: return fitted curves.
+        standard_errors: work out standard errors; without them no curve is called not identifiable.
     """
 
     model: CompartmentModel
@@ -48,6 +49,7 @@ class NonlinearSettings:
     rate_bounds: tuple[float, float] = (SLOWEST_RATE, FASTEST_RATE)
     effort: Effort = REGIONS
     keep_predicted: bool = True
+    standard_errors: bool = True
 
     @property
     def box(self) -> ParameterSet:
@@ -140,45 +142,93 @@ def _box_is_free(settings: NonlinearSettings) -> bool:
 def _fit_shared(
     curves: NDArray[np.floating], packed: Compression, weights: Array, settings: NonlinearSettings
 ) -> FitResult:
-    finite = np.asarray((np.abs(curves) < _LARGEST).all(axis=1))
-    usable = np.ascontiguousarray(np.where(finite[:, None], curves, 0.0), np.float64)
-    z = project_rows(packed.project, usable)
-    sizes = np.einsum("nk,k,nk->n", usable, weights, usable)
-    signal = finite & ((packed.basis.sum(axis=0)[:, None] * z).sum(axis=0) > 0)
-    theta, cost, converged = _estimate(z, sizes, signal, packed, settings)
-    theta[~signal] = np.nan
-    return _summarise(theta, cost, converged, finite, signal, packed, weights, settings)
+    """Curves that share their weights: the free optimum of all, bounded fits of those that leave the box, a summary."""
+    frames = _readable(curves).T
+    best = Optimum.of(len(settings.model.parameters), len(curves))
+    tables = search_tables(packed, settings.effort, blood=_takes_blood(settings.box))
+    left: list[_Left] = []
+    for start in range(0, len(curves), _CHUNK):
+        rows = slice(start, min(start + _CHUNK, len(curves)))
+        z, sizes, best.finite[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
+        best.signal[rows] = best.finite[rows] & (packed.basis.sum(axis=0) @ z > 0)
+        outside = _free_optimum(z, sizes, rows, best, tables, settings)
+        chosen = np.flatnonzero(outside | settings.effort.refine)
+        left.append(_Left(start + chosen, z[:, chosen], sizes[chosen], outside[chosen]))
+    _fit_left(left, best, packed, settings)
+    best.theta[:, ~best.signal] = np.nan
+    judge = Judge(settings.model, settings.box, settings.rate_bounds, packed, weights, settings.standard_errors)
+    predicted = _predict(best.theta.T, packed, weights, settings) if settings.keep_predicted else None
+    return judge.summarise(best, predicted, chunk=_CHUNK)
 
 
-def _estimate(
-    z: Array, sizes: Array, signal: NDArray[np.bool_], packed: Compression, settings: NonlinearSettings
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Parameters, costs and convergence: the free optimum, and a bounded fit for curves whose optimum leaves the box."""
-    model, box = settings.model, settings.box
+def _readable(curves: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Curves in a type and an order that the compiled pass reads without a copy, converted where they are not."""
+    native = curves.dtype in (np.float32, np.float64) and curves.dtype.isnative
+    curves = curves if native else curves.astype(np.float64)
+    return curves if curves.flags.c_contiguous or curves.flags.f_contiguous else np.ascontiguousarray(curves)
+
+
+def _takes_blood(box: ParameterSet) -> bool:
     vB = box["vB"]
-    found = search_exponentials(
-        model, packed, z, sizes, settings.effort, blood=vB.upper > 0 and not (vB.fixed and vB.start == 0)
-    )
+    return vB.upper > 0 and not (vB.fixed and vB.start == 0)
+
+
+@dataclass(frozen=True)
+class _Left:
+    """Curves that need more than the free search: which, compressed, and whether their optimum left the box."""
+
+    rows: NDArray[np.intp]
+    z: Array
+    sizes: Array
+    outside: NDArray[np.bool_]
+
+
+def _free_optimum(
+    z: Array, sizes: Array, rows: slice, best: Optimum, tables: Tables, settings: NonlinearSettings
+) -> NDArray[np.bool_]:
+    """Fill in the free optimum of some curves; which of them lies outside the box."""
+    model, box = settings.model, settings.box
+    found = search_among(model, tables, z, sizes, settings.effort)
     with np.errstate(all="ignore"):
-        rates = model.invert(*[(found.phi[:, m], found.rate[:, m]) for m in range(found.phi.shape[1])])
-    theta = np.column_stack([*rates, found.vB])
-    theta[(found.phi == 0.0).all(axis=1), :-1] = [0.0, *box.start[1:-1]]  # blood alone: without K1 any rates will do
-    cost, converged = found.cost.copy(), found.converged.copy()
+        rates = model.invert(*zip(found.phi.T, found.rate.T))
+    theta = best.theta[:, rows]
+    for row, values in zip(theta, (*rates, found.vB)):
+        row[:] = values
+    blood_alone = (found.phi == 0.0).all(axis=1)  # without K1 any rates will do
+    theta[:-1, blood_alone] = np.array([0.0, *box.start[1:-1]])[:, None]
+    best.cost[rows] = np.maximum(found.cost, np.finfo(np.float64).eps * sizes)
+    best.converged[rows] = found.converged
     slack = ON_BOUND * (1.0 + np.abs(box.upper))
-    leaves = signal & ~((theta >= box.lower - slack) & (theta <= box.upper + slack)).all(axis=1)
-    theta = np.clip(theta, box.lower, box.upper)
+    inside = (theta >= (box.lower - slack)[:, None]) & (theta <= (box.upper + slack)[:, None])
+    theta[:] = np.clip(theta, box.lower[:, None], box.upper[:, None])
+    return best.signal[rows] & ~inside.all(axis=0)
+
+
+def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: NonlinearSettings) -> None:
+    """Bounded fits where the free optimum left the box; elsewhere, if asked for, a finish on explicit residuals."""
+    rows = np.concatenate([np.empty(0, np.intp), *(part.rows for part in left)])
+    if rows.size == 0:
+        return
+    z, sizes = np.concatenate([part.z for part in left], axis=1), np.concatenate([part.sizes for part in left])
+    outside = np.concatenate([part.outside for part in left])
     tolerance = max(1e-2 * settings.effort.tolerance, 1e-10)
-    for rows in _chunks(np.flatnonzero(leaves)):
-        theta[rows], cost[rows], converged[rows] = fit_in_box(
-            model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=settings.effort.starts, tolerance=tolerance
-        )
-    if settings.effort.refine:
-        rows = np.flatnonzero(signal & ~leaves)
-        finer = fit_in_box(model, packed, z[:, rows], sizes[rows], theta[rows], box, starts=0, tolerance=tolerance)
-        kept = _inside_table(finer[0], packed, settings)
-        for whole, part in zip((theta, cost, converged), finer):
-            whole[rows[kept]] = part[kept]
-    return theta, np.maximum(cost, np.finfo(np.float64).eps * sizes), converged
+    for chosen, starts in ((outside, settings.effort.starts), (best.signal[rows] & ~outside, 0)):
+        for part in _chunks(np.flatnonzero(chosen)):
+            here = rows[part]
+            theta, cost, converged = fit_in_box(
+                settings.model,
+                packed,
+                z[:, part],
+                sizes[part],
+                best.theta[:, here].T,
+                settings.box,
+                starts=starts,
+                tolerance=tolerance,
+            )
+            kept = slice(None) if starts else _inside_table(theta, packed, settings)
+            here = here[kept]
+            best.theta[:, here], best.converged[here] = theta[kept].T, converged[kept]
+            best.cost[here] = np.maximum(cost, np.finfo(np.float64).eps * sizes[part])[kept]
 
 
 def _inside_table(theta: Array, packed: Compression, settings: NonlinearSettings) -> NDArray[np.bool_]:
@@ -192,92 +242,8 @@ def _chunks(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     return [rows[i : i + _CHUNK] for i in range(0, len(rows), _CHUNK)]
 
 
-def _summarise(
-    theta: Array,
-    cost: Array,
-    converged: NDArray[np.bool_],
-    finite: NDArray[np.bool_],
-    signal: NDArray[np.bool_],
-    packed: Compression,
-    weights: Array,
-    settings: NonlinearSettings,
-) -> FitResult:
-    model, box = settings.model, settings.box
-    frames = int(np.count_nonzero(weights > 0))
-    free = len(box.free)
-    chi2 = cost / (frames - free)
-    names = [*[(p.symbol, p.unit) for p in model.parameters], *[(m.symbol, m.unit) for m in model.macros]]
-    values = np.full((len(theta), len(names)), np.nan)
-    errors = np.full_like(values, np.nan)
-    on_bound = np.zeros(len(theta), bool)
-    for rows in _chunks(np.flatnonzero(np.isfinite(theta).all(axis=1))):
-        values[rows], errors[rows], on_bound[rows] = _with_errors(theta[rows], chi2[rows], packed, settings)
-    with np.errstate(all="ignore"):
-        percent = np.where(np.isfinite(values), 100.0 * errors / np.abs(values), np.nan)
-    outcome = len(model.parameters)  # the first macro-parameter
-    status = np.full(len(theta), Status.OK, np.uint8)
-    status[on_bound] = Status.AT_BOUND
-    status[~(percent[:, outcome] <= 100.0)] = Status.NOT_IDENTIFIABLE
-    status[~converged] = Status.NOT_CONVERGED
-    status[~np.isfinite(theta).all(axis=1)] = Status.NO_SIGNAL
-    status[~signal] = Status.NO_SIGNAL
-    status[~finite] = Status.NOT_FINITE
-    missing = status == Status.NO_SIGNAL
-    missing |= status == Status.NOT_FINITE
-    values[missing], percent[missing] = np.nan, np.nan
-    p = free + 1
-    with np.errstate(all="ignore"):
-        aicc = (
-            frames * np.log(cost / frames) + 2 * p + (2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan)
-        )
-    predicted = _predict(theta, packed, weights, settings) if settings.keep_predicted else None
-    return FitResult(
-        model=model.label,
-        estimates=tuple(Estimate(s, u, values[:, i], percent[:, i]) for i, (s, u) in enumerate(names)),
-        chi2=np.where(missing, np.nan, chi2),
-        aicc=np.where(missing, np.nan, aicc),
-        status=status,
-        weights=weights,
-        predicted=predicted,
-        settings={
-            "bounds": {p.symbol: [p.lower, p.upper] for p in box if not p.fixed},
-            "fixed": {p.symbol: p.start for p in box if p.fixed},
-            "rate_bounds": list(settings.rate_bounds),
-        },
-    )
-
-
-def _with_errors(
-    theta: Array, chi2: Array, packed: Compression, settings: NonlinearSettings
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Parameters and macros, their standard errors, and whether a free parameter sits on a bound."""
-    model, box = settings.model, settings.box
-    fixed = np.array([p.fixed for p in box])
-    slack = ON_BOUND * np.where(np.isfinite(box.upper), np.maximum(box.upper - box.lower, 1e-3), 1.0)
-    touching = ((theta <= box.lower + slack) | (theta >= box.upper - slack)) & ~fixed
-    with np.errstate(all="ignore"):
-        slowest = min(settings.rate_bounds) if not model.trapping else 0.0
-        on_bound = np.asarray(touching.any(axis=1))
-        for phi, rate in model.impulse(*theta[:, :-1].T):
-            on_bound |= (phi > 0) & (rate <= slowest * (1 + 1e-6)) & (slowest > 0)
-            on_bound |= (phi > 0) & (rate >= settings.rate_bounds[1] * (1 - 1e-9))
-        covariance = covariances(model, packed, theta, touching | fixed)
-        macros, chain = derivatives(lambda *k: tuple(m.formula(*k) for m in model.macros), theta[:, :-1])
-    # A rate that is no longer defined (k4 where k3 = 0) must not spoil macros that do not depend on it.
-    chain = np.where(np.isfinite(chain), chain, 0.0)
-    variance = ((chain @ covariance[:, :-1, :-1]) * chain).sum(axis=-1)
-    own = np.einsum("npp->np", covariance)
-    errors = np.sqrt(np.maximum(np.hstack([own, variance]) * chi2[:, None], 0.0))
-    # What the curve does not feel at all has no variance there, which is to say an infinite one.
-    unfelt = (own == 0.0) & ~touching & ~fixed
-    spoilt = ((chain != 0.0) & unfelt[:, None, :-1]).any(axis=-1)
-    errors[np.hstack([unfelt, spoilt])] = np.inf
-    errors[:, : len(box)][touching] = np.nan
-    return np.hstack([theta, macros]), errors, on_bound
-
-
 def _predict(theta: Array, packed: Compression, weights: Array, settings: NonlinearSettings) -> Array:
-    """Fitted frame values (N, K): back from compressed coordinates; frames without weight cannot be told and are NaN."""
+    """Fitted frame values (N, K), back from compressed coordinates; NaN in frames without weight."""
     curves = model_values(settings.model, packed, np.where(np.isfinite(theta), theta, 0.0))
     with np.errstate(all="ignore"):
         back = np.where(packed.root_weights > 0, packed.project / packed.root_weights**2, np.nan)

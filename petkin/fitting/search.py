@@ -69,8 +69,14 @@ def search_exponentials(
         effort: how hard to search.
         blood: whether blood may take part; without it vB = 0.
     """
+    return search_among(model, search_tables(packed, effort, blood=blood), z, sizes, effort)
+
+
+def search_among(
+    model: CompartmentModel, tables: kernel.Tables, z: Array, sizes: Array, effort: Effort
+) -> Exponentials:
+    """The same with tables made beforehand, for curves that come in parts."""
     kind = PAIR if model.free_rates == 2 else (TRAPPED if model.trapping else SINGLE)
-    tables = _tables(packed, effort, blood=blood)
     found = kernel.search(
         np.ascontiguousarray(z), np.ascontiguousarray(sizes), tables, kind, effort.tolerance, effort.again
     )
@@ -82,12 +88,9 @@ def search_exponentials(
     return Exponentials(phi.T, rate.T, vB, found[kernel.COST], found[kernel.STEPS] < MAX_STEPS)
 
 
-def _tables(packed: Compression, effort: Effort, *, blood: bool) -> kernel.Tables:
-    spacing = float(packed.u[1] - packed.u[0])
-    rows = np.stack([packed.basis, packed.slope * spacing], axis=1).reshape(-1, packed.size)
-    gram = rows @ rows.T
-    first = 2 * np.arange(len(packed.u) - 1)
-    upper = [gram[first + a, first + b] for a in range(4) for b in range(a, 4)]
+def search_tables(packed: Compression, effort: Effort, *, blood: bool) -> kernel.Tables:
+    """What the compiled search reads of a compressed table."""
+    products = packed.products
     coarse = np.unique(np.linspace(0, len(packed.u) - 1, effort.coarse).round().astype(np.int64))
     lengths = np.linalg.norm(packed.basis[coarse], axis=1)
     # The look-up only says where to start: single precision does for voxels.
@@ -95,16 +98,16 @@ def _tables(packed: Compression, effort: Effort, *, blood: bool) -> kernel.Table
     atoms, lead = _off_blood(packed.basis[coarse], blood=blood)
     return kernel.Tables(
         blood=packed.blood if blood else 0.0,
-        low=float(packed.u[0]),
-        spacing=spacing,
-        rows=np.ascontiguousarray(rows.T),
-        gram=gram,
-        own=np.stack([*upper, *(rows[first + a, 0] for a in range(4))], axis=1),
+        low=products.low,
+        spacing=products.spacing,
+        rows=products.rows,
+        gram=products.gram,
+        own=products.own,
         coarse=coarse,
         atoms=atoms.astype(precision),
         lead=lead.astype(precision),
         near=(atoms @ atoms.T).astype(precision),
-        toward=gram[:, 2 * coarse] / lengths,
+        toward=products.gram[:, 2 * coarse] / lengths,
         lean=packed.basis[coarse, 0] / lengths,
         lengths=lengths,
     )

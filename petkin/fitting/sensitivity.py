@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.fitting.dual import partials
 from petkin.fitting.table import RATE_OFFSET, Compression
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
-
-#: Complex step: derivative to rounding, no cancellation (Squire & Trapp 1998, doi:10.1137/S003614459631241X).
-_STEP = 1e-30
 
 
 def derivatives(function: Callable[..., Any], arguments: Array) -> tuple[Array, Array]:
@@ -27,17 +25,8 @@ def derivatives(function: Callable[..., Any], arguments: Array) -> tuple[Array, 
     Returns:
         values (N, Q) and Jacobian (N, Q, P).
     """
-    columns = []
-    values = _stack(function(*arguments.T))
-    for p in range(arguments.shape[1]):
-        moved = [column.astype(complex) if i == p else column for i, column in enumerate(arguments.T)]
-        moved[p] = moved[p] + 1j * _STEP
-        columns.append(_stack(function(*moved)).imag / _STEP)
-    return values.real, np.stack(columns, axis=-1)
-
-
-def _stack(results: Any) -> Any:
-    return np.stack(results, axis=-1) if isinstance(results, tuple) else np.asarray(results)[..., None]
+    values, jacobian = partials(function, [np.ascontiguousarray(column) for column in arguments.T])
+    return values.T, np.moveaxis(jacobian, -1, 0)
 
 
 def read_basis(packed: Compression, rate: Array) -> tuple[Array, Array]:

@@ -1,17 +1,18 @@
 """The basis table: everything a fit needs to know of the input function and the frames.
 
-With the input fixed, a model curve is linear in its amplitudes and each exponential enters through one scalar, its rate:
+With the input fixed, a model curve is linear in its amplitudes, and each exponential enters through its rate alone:
 
     model = vB C_B + (1 - vB) sum_i phi_i B(a_i),    B_k(a) = frame k's report of e^{-a t} * C_P(t).
 
 So B is computed once, in float64 and exactly, at nodes in u = log(a + c), with its exact derivative, and read by cubic
 Hermite interpolation afterwards. The cost of a fit no longer depends on the input function. Weighted curves are then
-compressed onto the few directions that B and the blood span (Golla et al. style basis functions, without their grid error).
+compressed onto the few directions that B and the blood span.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -90,6 +91,27 @@ def build_table(
 
 
 @dataclass(frozen=True)
+class InnerProducts:
+    """All that a fit needs of a compressed table: b at a position x between nodes is four rows, weighted.
+
+    Args:
+        blood: length of the weighted blood curve along axis 0.
+        low, spacing: u = low + spacing x.
+        rows: b and db/dx of every node, as columns (R, 2 nodes).
+        gram: rows^T rows (2 nodes, 2 nodes).
+        own: of every interval, the upper triangle of its 4 x 4 block of `gram`, then its four entries of rows[0];
+            (nodes - 1, 14).
+    """
+
+    blood: float
+    low: float
+    spacing: float
+    rows: Array
+    gram: Array
+    own: Array
+
+
+@dataclass(frozen=True)
 class Compression:
     """The table seen through shared frame weights: coordinates in an orthonormal basis Q whose first axis is the blood.
 
@@ -112,6 +134,17 @@ class Compression:
     @property
     def size(self) -> int:
         return self.basis.shape[1]
+
+    @cached_property
+    def products(self) -> InnerProducts:
+        """Inner products of all nodes, for readings between them."""
+        spacing = float(self.u[1] - self.u[0])
+        rows = np.stack([self.basis, self.slope * spacing], axis=1).reshape(-1, self.size)
+        gram = rows @ rows.T
+        first = 2 * np.arange(len(self.u) - 1)
+        upper = [gram[first + a, first + b] for a in range(4) for b in range(a, 4)]
+        own = np.stack([*upper, *(rows[first + a, 0] for a in range(4))], axis=1)
+        return InnerProducts(self.blood, float(self.u[0]), spacing, np.ascontiguousarray(rows.T), gram, own)
 
 
 def compress(table: BasisTable, weights: Array, *, tolerance: float = 0.0, size: int | None = None) -> Compression:

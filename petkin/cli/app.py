@@ -5,8 +5,10 @@ from __future__ import annotations
 import signal
 import sys
 from types import FrameType
+from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 from petkin.cli.demo import demo
 from petkin.cli.fit import fit
@@ -15,15 +17,27 @@ from petkin.cli.simulate import simulate
 from petkin.cli.tacs import tacs
 from petkin.errors import PetkinError
 
+
+class _Panelled(TyperCommand):
+    """A command whose help shows its options in panels.
+
+    `petkin --help` itself is plain: what draws panels takes longer to load than all the rest of that answer.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **{**options, "rich_markup_mode": "rich"})
+
+
 app = typer.Typer(
     name="petkin",
     help="Dynamic PET kinetic modelling: simulate a study, fit it, and say how sure the numbers are.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
+    rich_markup_mode=None,
 )
 for verb in (simulate, fit, tacs, info, demo):
-    app.command()(verb)
+    app.command(cls=_Panelled)(verb)
 
 
 @app.callback(invoke_without_command=True)

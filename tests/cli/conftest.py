@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,21 +27,23 @@ class Ran:
     err: str
 
 
-@pytest.fixture
-def petkin_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
+def run_command(*arguments: object) -> Ran:
     """Run `petkin ...` in this process, through the function that the console script calls."""
-
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["petkin", *map(str, arguments)])
-        status = 0
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    typed = ["petkin", *map(str, arguments)]
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", typed)
         try:
             main()
         except SystemExit as ended:
             status = int(ended.code or 0)
-        captured = capsys.readouterr()
-        return Ran(status, captured.out, captured.err)
+    return Ran(status, out.getvalue(), err.getvalue())
 
-    return run
+
+@pytest.fixture
+def petkin_command() -> Callable[..., Ran]:
+    """`run_command`."""
+    return run_command
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import Shifted
+from petkin.errors import InputError
 from petkin.fitting.search import REGIONS, search_exponentials
 from petkin.fitting.table import BasisTable, build_table, compress
 from petkin.imaging import FrameObservation
@@ -60,8 +61,17 @@ def estimate_delay(
         model: compartment model.
         rate_bounds: interval of the rates, 1/min.
 
+    Raises:
+        InputError: the curve holds a value that is not a number, or too few frames have weight.
+
     Reference: Meyer E. J Nucl Med 1989;30:1069-1078 (simultaneous correction for tracer arrival delay and dispersion).
     """
+    freedom = int(np.count_nonzero(weights)) - len(model.parameters) - 1
+    if not np.isfinite(curve).all() or freedom < 1:
+        raise InputError(
+            "The whole-brain curve must hold numbers in all frames, and "
+            f"{len(model.parameters) + 2} of them with weight, for its delay: check the mask, or give the delay."
+        )
     centre = 0.5 * (SPAN[0] + SPAN[1])
     tried, costs = np.empty(0), np.empty(0)
     for reach, step in _GRIDS:
@@ -74,7 +84,6 @@ def estimate_delay(
     costs = costs[first]
     best = int(np.argmin(costs))
     at_end = best in (0, len(tried) - 1)
-    freedom = int(np.count_nonzero(weights)) - len(model.parameters) - 1
     return Delay(float(tried[best]), _error(tried, costs, best, freedom), at_end, (tried, costs))
 
 

@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 from petkin.errors import InputError
+from petkin.fitting.curves import check_shapes, finite_curves
 from petkin.fitting.results import Estimate, FitResult, Status
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
@@ -31,7 +32,7 @@ class GraphicalSettings:
     """Which plot, and what of the curve it uses.
 
     Args:
-        t_star: frames whose middle comes at or after this time take part, min.
+        t_star: frames whose middle comes at or after this time take part, if they have weight, min.
         vB: blood volume fraction taken off the curves beforehand; 0 leaves them as they are.
         keep_predicted: return fitted curves.
     """
@@ -49,13 +50,15 @@ def fit_patlak(
     settings: GraphicalSettings,
 ) -> FitResult:
     """Ki and the initial volume V of every curve (N, K), by weighted least squares on frame values after t*."""
-    late = _late(observation, settings)
+    curves, weights = np.asarray(curves), np.asarray(weights, np.float64)
+    late = _late(curves, weights, observation, settings)
+    finite, usable = finite_curves(curves)
     blood = observation.of_forcing(arterial.whole_blood).numpy()
     exposure = observation.of_response(arterial.plasma, torch.zeros(1, dtype=torch.float64))[0].numpy()
     plasma = observation.of_forcing(arterial.plasma).numpy()
-    tissue = (np.asarray(curves, np.float64) - settings.vB * blood) / (1.0 - settings.vB)
+    tissue = (usable - settings.vB * blood) / (1.0 - settings.vB)
     design = np.stack([exposure, plasma], axis=1)[late]
-    root = np.sqrt(np.asarray(weights, np.float64)[late])
+    root = np.sqrt(weights[late])
     inverse = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))
     solved = tissue[:, late] @ ((design * root[:, None] ** 2) @ inverse)
     residual = (tissue[:, late] - solved @ design.T) * root
@@ -65,7 +68,7 @@ def fit_patlak(
     predicted[:, late] = (1.0 - settings.vB) * (solved @ design.T) + settings.vB * blood[late]
     units = (("Ki", "mL cm^-3 min^-1"), ("V0", "mL cm^-3"))
     return _result(
-        "Patlak", units, solved, np.sqrt(variance), wrss, int(late.sum()), curves, weights, predicted, settings
+        "Patlak", units, solved, np.sqrt(variance), wrss, int(late.sum()), finite, usable, weights, predicted, settings
     )
 
 
@@ -77,18 +80,21 @@ def fit_logan(
     settings: GraphicalSettings,
 ) -> FitResult:
     """VT and the intercept of every curve (N, K); noise enters both axes and biases VT low (Slifstein 2000)."""
-    late = _late(observation, settings)
+    curves, weights = np.asarray(curves), np.asarray(weights, np.float64)
+    late = _late(curves, weights, observation, settings)
+    finite, usable = finite_curves(curves)
     frames = observation.frames
     mid = torch.tensor(frames.mid)
     blood = observation.of_forcing(arterial.whole_blood).numpy()
-    tissue = (np.asarray(curves, np.float64) - settings.vB * blood) / (1.0 - settings.vB)
+    tissue = (usable - settings.vB * blood) / (1.0 - settings.vB)
     area = _area_to_middle(tissue, frames)
     plasma_area = arterial.plasma.integral(mid).numpy()
-    root = np.sqrt(np.asarray(weights, np.float64)[late])
+    root = np.sqrt(weights[late])
     with np.errstate(all="ignore"):
-        x, y = (plasma_area / tissue)[:, late], (area / tissue)[:, late]
-        # Weights of C hold for the ratio after scaling by C^2; kept relative within a curve.
-        w = root**2 * np.maximum(tissue[:, late], 0.0) ** 2
+        # Weights of C hold for the ratio after scaling by C^2; frames at or below zero have none and no ratio either.
+        level = np.where(tissue[:, late] > 0.0, tissue[:, late], np.inf)
+        x, y = plasma_area[late] / level, area[:, late] / level
+        w = np.where(np.isfinite(level), root**2 * level**2, 0.0)
         total = w.sum(axis=1)
         mx, my = (w * x).sum(axis=1) / total, (w * y).sum(axis=1) / total
         sxx = (w * (x - mx[:, None]) ** 2).sum(axis=1)
@@ -96,21 +102,29 @@ def fit_logan(
         intercept = my - slope * mx
         left = y - slope[:, None] * x - intercept[:, None]
         wrss = (w * left**2).sum(axis=1)
-        variance = wrss / (late.sum() - 2)
+        variance = wrss / (np.isfinite(level).sum(axis=1) - 2)
         errors = np.sqrt(np.stack([variance / sxx, variance * (1.0 / total + mx**2 / sxx)], axis=1))
         predicted = np.full(curves.shape, np.nan)
         fitted = (area[:, late] - slope[:, None] * plasma_area[late]) / intercept[:, None]
         predicted[:, late] = (1.0 - settings.vB) * fitted + settings.vB * blood[late]
     solved = np.stack([slope, intercept], axis=1)
     units = (("VT", "mL cm^-3"), ("intercept", "min"))
-    return _result("Logan", units, solved, errors, wrss, int(late.sum()), curves, weights, predicted, settings)
+    return _result("Logan", units, solved, errors, wrss, int(late.sum()), finite, usable, weights, predicted, settings)
 
 
-def _late(observation: FrameObservation, settings: GraphicalSettings) -> NDArray[np.bool_]:
-    late = observation.frames.mid >= settings.t_star
+def _late(
+    curves: NDArray[np.floating], weights: Array, observation: FrameObservation, settings: GraphicalSettings
+) -> NDArray[np.bool_]:
+    """Frames that take part: after t*, with weight."""
+    check_shapes(curves, weights, len(observation.frames))
+    if weights.ndim != 1:
+        raise InputError("Graphical methods take one weight a frame, shared by all curves; give one row of weights.")
+    if not 0.0 <= settings.vB < 1.0:
+        raise InputError(f"A blood volume fraction of {settings.vB:g} cannot be taken off; it lies in [0, 1).")
+    late = (observation.frames.mid >= settings.t_star) & (weights > 0)
     if late.sum() < 3:
         raise InputError(
-            f"Only {int(late.sum())} frames lie after t* = {settings.t_star:g} min; a line with an error needs three: "
+            f"Only {int(late.sum())} frames with weight lie after t* = {settings.t_star:g} min; a line with an error needs three: "
             "choose an earlier --t-star."
         )
     return late
@@ -133,17 +147,17 @@ def _result(
     errors: Array,
     wrss: Array,
     count: int,
-    curves: NDArray[np.floating],
+    finite: NDArray[np.bool_],
+    usable: Array,
     weights: Array,
     predicted: Array,
     settings: GraphicalSettings,
 ) -> FitResult:
-    finite = np.asarray(np.isfinite(curves).all(axis=1))
     with np.errstate(all="ignore"):
-        signal = np.sum(np.where(finite[:, None], curves, 0.0), axis=1) > 0
+        signal = usable.sum(axis=1) > 0
         percent = 100.0 * errors / np.abs(solved)
         aicc = count * np.log(wrss / count) + 6.0 + (24.0 / (count - 4) if count > 4 else np.nan)
-    status = np.full(len(curves), Status.OK, np.uint8)
+    status = np.full(len(usable), Status.OK, np.uint8)
     status[~(percent[:, 0] <= 100.0)] = Status.NOT_IDENTIFIABLE
     status[~np.isfinite(solved).all(axis=1)] = Status.NOT_CONVERGED
     status[~signal] = Status.NO_SIGNAL
@@ -159,7 +173,7 @@ def _result(
         chi2=wrss / (count - 2) * blank,
         aicc=aicc * blank,
         status=status,
-        weights=np.asarray(weights),
+        weights=weights,
         predicted=predicted if settings.keep_predicted else None,
         settings={"t_star": settings.t_star, "vB": settings.vB, "frames_used": count},
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from petkin.dynamics import ParameterSet
 from petkin.errors import InputError
 from petkin.fitting.bounded import ON_BOUND, fit_in_box
+from petkin.fitting.curves import check_shapes
 from petkin.fitting.kernel import Tables
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Estimate, FitResult
@@ -105,14 +106,7 @@ def _check(
     curves: NDArray[np.floating], weights: Array, observation: FrameObservation, settings: NonlinearSettings
 ) -> None:
     frames = len(observation.frames)
-    if curves.ndim != 2 or curves.shape[1] != frames:
-        raise InputError(f"Curves of shape {curves.shape} do not match {frames} frames; give one row a curve.")
-    if weights.shape not in ((frames,), curves.shape):
-        raise InputError(
-            f"Weights of shape {weights.shape} match neither the {frames} frames nor the curves {curves.shape}."
-        )
-    if not np.isfinite(weights).all() or (weights < 0).any():
-        raise InputError("Frame weights must be finite and not negative.")
+    check_shapes(curves, weights, frames)
     free = len(settings.box.free)
     counted = int((np.atleast_2d(weights) > 0).sum(axis=1).min(initial=frames))
     if counted <= free + 1:

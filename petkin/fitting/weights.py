@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
 
 Array = NDArray[np.float64]
@@ -26,9 +27,18 @@ def counting_weights(mean_curve: Array, frames: FrameSchedule, decay: float) -> 
     Returns:
         weights (K,).
 
+    Raises:
+        InputError: the curve holds no activity, or a value that is not a number.
+
     Reference: Yaqub M et al. Optimization algorithms and weighting factors for analysis of dynamic PET studies.
     Phys Med Biol 2006;51:4217-4232. doi:10.1088/0031-9155/51/17/007
     """
-    level = np.maximum(mean_curve, _FLOOR * np.max(mean_curve))
+    peak = np.max(mean_curve)
+    if not (np.isfinite(mean_curve).all() and peak > 0):
+        raise InputError(
+            f"The mean curve, which frame weights are made from, peaks at {peak:g} kBq/mL; it must hold activity "
+            "and no NaN: check the mask and the units."
+        )
+    level = np.maximum(mean_curve, _FLOOR * peak)
     weights = frames.duration * np.exp(-decay * frames.mid) / level
     return weights / weights.mean()

@@ -1,0 +1,71 @@
+"""The speed promised, and the quality promised with it, measured small."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from petkin.errors import InputError
+from petkin_bench.accuracy import measure_accuracy
+from petkin_bench.by_hand import costs_of, fit_by_hand
+from petkin_bench.problems import DRAWN, fit_problem
+from petkin_bench.provenance import append_rows
+from petkin_bench.speed import measure_graphical, measure_model
+from petkin_bench.whole_image import measure_image
+
+
+def test_two_tissue_voxels_with_errors_are_500_times_faster_than_by_hand_and_fit_as_well() -> None:
+    row = measure_model("2TCM", frames=26, percent=15.0, voxels=40_000, by_hand=12, judged=200)
+    assert float(str(row["ratio_cpu"])) >= 500.0, json.dumps(row)
+    assert float(str(row["within_0.1_percent"])) >= 98.0
+    assert float(str(row["within_1_percent"])) >= 99.5
+
+
+def test_the_formula_by_hand_is_the_model_of_petkin() -> None:
+    problem = fit_problem(voxels=50, percent=5.0)
+    import torch
+
+    from petkin.kinetics import compartment_model
+
+    ours = compartment_model("2TCM").frame_values(torch.tensor(problem.truth), problem.arterial, problem.observation)
+    np.testing.assert_allclose(problem.clean, ours.numpy(), rtol=1e-9)
+
+
+def test_by_hand_finds_the_truth_without_noise() -> None:
+    problem = fit_problem(voxels=400, percent=1e-6, model="1TCM")
+    found = fit_by_hand(problem, DRAWN["1TCM"], 3)
+    np.testing.assert_allclose(found.parameters, problem.truth[:3], rtol=1e-3)
+    assert np.isinf(costs_of(problem, np.full((1, 3), np.nan))).all()
+
+
+def test_graphical_methods_are_timed_against_a_matrix_product() -> None:
+    row = measure_graphical("Patlak", voxels=5000)
+    assert float(str(row["voxels_per_s"])) > 10_000
+
+
+def test_a_whole_image_goes_from_file_to_maps(tmp_path) -> None:
+    row = measure_image(tmp_path, by_hand_cpu_us=8000.0, shape=(12, 12, 8))
+    assert int(str(row["voxels"])) > 250
+    assert list((tmp_path / "out").rglob("*meas-VT_mimap.nii.gz"))
+
+
+def test_rows_keep_their_provenance_and_old_rows_stay(tmp_path) -> None:
+    append_rows("speed", [{"fit": "a", "x": 1.0}], tmp_path)
+    table = pd.read_csv(append_rows("speed", [{"fit": "b", "y": 2.0}], tmp_path))
+    assert list(table["fit"]) == ["a", "b"]
+    assert table[["petkin", "commit", "date", "cpu", "cores", "python", "libraries"]].notna().all(axis=None)
+
+
+def test_accuracy_needs_the_curves(tmp_path) -> None:
+    with pytest.raises(InputError, match=r"frames\.tsv"):
+        measure_accuracy(tmp_path)
+
+
+def test_accuracy_on_the_benchmark_curves(shared_data) -> None:
+    rows = measure_accuracy(shared_data / "bench")
+    clean = [row for row in rows if row["curves"] == "clean" and row["quantity"] in ("K1", "VT", "Ki")]
+    assert clean
+    assert all(float(str(row["median_error_percent"])) <= 0.02 and row["failed"] == 0 for row in clean)

@@ -124,8 +124,8 @@ def _late(
     late = (observation.frames.mid >= settings.t_star) & (weights > 0)
     if late.sum() < 3:
         raise InputError(
-            f"Only {int(late.sum())} frames with weight lie after t* = {settings.t_star:g} min; a line with an error needs three: "
-            "choose an earlier --t-star."
+            f"Only {int(late.sum())} frames with weight lie after t* = {settings.t_star:g} min; "
+            "a line with an error needs three: choose an earlier --t-star."
         )
     return late
 

@@ -65,7 +65,7 @@ def fit_in_box(
 
 
 def _grid_starts(model: CompartmentModel, packed: Compression, z: Array, box: ParameterSet, starts: int) -> Array:
-    """The best `starts` grid points a curve (starts, N, P): rates on log levels, K1 and vB by least squares, clipped."""
+    """The best `starts` grid points a curve (starts, N, P): rates on log levels, K1 and vB by least squares."""
     levels = [_levels(lo, hi) for lo, hi in zip(box.lower[1:-1], box.upper[1:-1])]
     rates = np.array(list(itertools.product(*levels)))
     ones, zeros = np.ones((len(rates), 1)), np.zeros((len(rates), 1))

@@ -76,9 +76,12 @@ def _remarks(fitted: Sequence[Fitted]) -> list[str]:
     from petkin.study.inspect import group
 
     if len(fitted) == 1:
-        return list(dict.fromkeys(map(str, fitted[0].fit.remarks)))
-    findings = group(remark for one in fitted for remark in one.fit.remarks)
-    return [f.sentence + (f" (and {f.count - 1} more alike, see the reports)" if f.count > 1 else "") for f in findings]
+        return [f"{remark.severity} {remark}" for remark in dict.fromkeys(fitted[0].fit.remarks)]
+    lines = []
+    for found in group(remark for one in fitted for remark in one.fit.remarks):
+        more = f" (and {found.count - 1} more alike, see the reports)" if found.count > 1 else ""
+        lines.append(f"{found.severity} {found.sentence}{more}")
+    return lines
 
 
 def _figures(outcome: Outcome) -> tuple[str, str, str, str]:

@@ -66,6 +66,19 @@ def test_the_reference_s_objective_is_reached_with_the_input_read_its_way(scans)
     assert all((s == (Status.AT_BOUND if name == "kzcp_1" else Status.OK)).all() for name, s in statuses.items())
 
 
+def test_without_the_box_the_reference_s_wide_optimum_is_reached(scans):
+    """Its wide search (several starts, hardly bounded) and petkin's default bounds end in the same place."""
+    for scan in scans:
+        curves = scan.curves[list(scan.best.region)].to_numpy().T
+        observation = FrameObservation(scan.frames, mid_frame=True)
+        free = NonlinearSettings(TWO_TISSUE)
+        result = fit_curves(curves, scan.arterial_as_the_reference_reads(), observation, scan.weights, free)
+        assert result.predicted is not None
+        expected = scan.best.WRSS * scan.best.wide_WRSS_ratio
+        np.testing.assert_allclose(scan.wrss(curves, result.predicted), expected, rtol=2e-4)
+        np.testing.assert_allclose(result["VT"], scan.best.wide_VT, rtol=5e-3)
+
+
 def test_the_reference_s_objective_at_its_own_parameters(scans):
     """The forward model alone, without a fit: the two programs mean the same by a parameter."""
     for scan in scans:

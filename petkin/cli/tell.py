@@ -26,7 +26,7 @@ def tell_fits(fitted: Sequence[Fitted]) -> None:
     table = _table("scan", "model", "level", right=("fitted", "flagged", "median", "its SE", "delay"))
     for one in fitted:
         for outcome in one.outcomes:
-            delay = f"{one.fit.applied[0] * 60:+.1f} s"
+            delay = f"{round(one.fit.applied[0] * 60, 1) + 0.0:+.1f} s"  # no -0.0
             table.add_row(one.fit.source.label, outcome.model, outcome.level, *_figures(outcome), delay)
     console.print(table)
     for line in _remarks(fitted):
@@ -88,8 +88,13 @@ def _figures(outcome: Outcome) -> tuple[str, str, str, str]:
     counts = str(outcome.curves), str(outcome.flagged)
     if math.isnan(outcome.median):
         return *counts, f"{outcome.symbol} n/a", "n/a"
-    se = "n/a" if math.isnan(outcome.percent_se) else f"{outcome.percent_se:.2g} %"
-    return *counts, f"{outcome.symbol} {outcome.median:.4g}", se
+    return *counts, f"{outcome.symbol} {outcome.median:.4g}", _percent(outcome.percent_se)
+
+
+def _percent(value: float) -> str:
+    if math.isnan(value):
+        return "n/a"
+    return f"{value:.2g} %" if value < 99.5 else f"{value:.0f} %"
 
 
 def _against(symbol: str, truth: Sequence[TruthRow], fit: ScanFit, result: FitResult) -> tuple[str, str, str] | None:
@@ -106,4 +111,4 @@ def _against(symbol: str, truth: Sequence[TruthRow], fit: ScanFit, result: FitRe
         within = error <= 2.0 * result.percent_se(symbol)[index] * np.abs(result[symbol][index] / known)
     if not np.isfinite(error).any():
         return None
-    return f"{np.nanmedian(error):.2g} %", f"{np.nanmax(error):.2g} %", f"{int(within.sum())} of {len(index)}"
+    return _percent(np.nanmedian(error)), _percent(np.nanmax(error)), f"{int(within.sum())} of {len(index)}"

@@ -14,6 +14,9 @@ from petkin.io.names import FileName
 from petkin.io.nifti import Series, read_label_volume, require_same_grid
 from petkin.io.tables import numbers, read_table, require_columns
 
+#: Columns of a table of curves that hold its frame times.
+FRAME_COLUMNS = ("frame_start", "frame_end")
+
 
 @dataclass(frozen=True)
 class Dseg:
@@ -101,5 +104,6 @@ def _names(tables: Sequence[Path]) -> dict[int, str]:
 
 
 def _distinct(names: Sequence[str], index: NDArray[np.int32]) -> tuple[str, ...]:
-    """Names become columns of a table, so a name that two labels share carries the label."""
-    return tuple(name if names.count(name) == 1 else f"{name}-{i}" for name, i in zip(names, index, strict=True))
+    """Names become columns beside the frame times, so one that is taken or that two labels share carries the label."""
+    taken = [*names, *FRAME_COLUMNS]
+    return tuple(name if taken.count(name) == 1 else f"{name}-{i}" for name, i in zip(names, index, strict=True))

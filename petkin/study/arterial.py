@@ -15,6 +15,7 @@ from petkin.imaging import FrameSchedule
 from petkin.inputs import InputFunction, from_blood, from_table, input_table
 from petkin.io import BloodRecord, Remark, join_recordings, read_blood_table, require_cover
 from petkin.io.blood_checks import against_image_unit, complete
+from petkin.io.blood_table import FRACTION
 from petkin.io.names import FileName
 from petkin.study.request import FitRequest
 from petkin.study.sources import Source
@@ -51,6 +52,11 @@ def arterial_input(source: Source, request: FitRequest) -> InputFunction:
     manual, *others = (table.dropna(axis="columns", how="all") for table in blood.tables)
     automatic = others[0] if others else None
     end = float(source.frames.end[-1])
+    if request.parent_fraction != "none" and not manual.get(FRACTION, pd.Series([1.0])).max() > 0:
+        raise InputError(
+            f"{blood.where}: {FRACTION} is 0 in every row, so that no tracer would reach the tissue; correct it, or take "
+            "plasma as unmetabolised with --parent-fraction none."
+        )
     if automatic is None and _is_ready(manual):
         return _from_curve(manual, end, where=blood.where)
     return from_blood(

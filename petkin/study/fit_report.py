@@ -53,8 +53,8 @@ def build_report(fit: ScanFit, request: FitRequest, truth: tuple[TruthRow, ...] 
     if fit.curves is not None:
         regions = RegionCurves(fit.curves.names, fit.source.frames, fit.curves.values)
     sections = tuple(
-        _section(label, regional, voxel, fit, truth)
-        for label, regional, voxel in zip_longest(request.models, fit.regional, fit.by_voxel)
+        _section(label, regional, voxel, shift, fit, truth)
+        for label, regional, voxel, shift in zip_longest(request.models, fit.regional, fit.by_voxel, fit.mid_frame)
     )
     until = float(fit.source.frames.end[-1])
     return FitReport(
@@ -97,7 +97,12 @@ def _input(fit: ScanFit, until: float) -> InputCurves:
 
 
 def _section(
-    label: str, regional: FitResult | None, voxel: FitResult | None, fit: ScanFit, truth: tuple[TruthRow, ...]
+    label: str,
+    regional: FitResult | None,
+    voxel: FitResult | None,
+    shift: str | None,
+    fit: ScanFit,
+    truth: tuple[TruthRow, ...],
 ) -> ModelSection:
     method = find_method(label)
     return ModelSection(
@@ -106,7 +111,7 @@ def _section(
         maps=None if voxel is None else _maps(voxel, fit),
         truth=_compared(truth, regional, fit),
         equations=(method.equation,),
-        methods=(_SEARCHED if method.comparable else _PLOTTED,),
+        methods=(_SEARCHED if method.comparable else _PLOTTED, *([shift] if shift else [])),
         citations=(method.reference,),
         comparable=method.comparable,
     )

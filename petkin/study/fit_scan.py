@@ -13,6 +13,7 @@ from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction
 from petkin.io import RegionalCurves, Remark, against_tissue, read_regions
 from petkin.io.remarks import severe, warning
+from petkin.study.mid_frame import mid_frame_shift
 from petkin.study.request import FitRequest
 from petkin.study.series import VoxelCurves, choose_mask, extract
 from petkin.study.sources import Source
@@ -39,6 +40,7 @@ class ScanFit:
         voxels: voxel curves, or None.
         regional: result a model by region, in the order of the request.
         by_voxel: result a model by voxel.
+        mid_frame: a sentence a model on what frame averages change, "" where that was not asked.
         remarks: warnings.
     """
 
@@ -52,6 +54,7 @@ class ScanFit:
     voxels: VoxelCurves | None
     regional: tuple[FitResult, ...]
     by_voxel: tuple[FitResult, ...]
+    mid_frame: tuple[str, ...]
     remarks: tuple[Remark, ...]
 
 
@@ -82,11 +85,14 @@ def fit_scan(source: Source, arterial: InputFunction, request: FitRequest, progr
     arrived = arterial.delayed(applied[0])
     regional: list[FitResult] = []
     by_voxel: list[FitResult] = []
+    shifts: list[str] = []
     for i, method in enumerate(methods):
         progress(f"{method.label} by region" if curves is not None else method.label, 0.4 + 0.5 * i / len(methods))
         if curves is not None:
             result = method.fit(curves.values, arrived, observation, weights, request.choices, False)
             regional.append(replace(with_delay(result, *applied), remarks=undetermined(result)))
+            compared = request.observation == "frame" and method.comparable
+            shifts.append(mid_frame_shift(result, method, curves, arrived, request.choices) if compared else "")
         if voxels is not None:
             progress(f"{method.label} by voxel", 0.4 + 0.5 * (i + 0.3) / len(methods))
             result = method.fit(voxels.values.T, arrived, observation, weights, request.choices, True)
@@ -97,7 +103,18 @@ def fit_scan(source: Source, arterial: InputFunction, request: FitRequest, progr
         *_remarks(source, whole, voxels, *zip(methods, regional), *zip(methods, by_voxel)),
     )
     return ScanFit(
-        source, arterial, delay, applied, weights, how, curves, voxels, tuple(regional), tuple(by_voxel), remarks
+        source,
+        arterial,
+        delay,
+        applied,
+        weights,
+        how,
+        curves,
+        voxels,
+        tuple(regional),
+        tuple(by_voxel),
+        tuple(shifts),
+        remarks,
     )
 
 

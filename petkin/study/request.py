@@ -99,6 +99,8 @@ def _check_numbers(request: FitRequest) -> None:
     twice = sorted(set(request.choices.bounds) & set(request.choices.fixed))
     if twice:
         raise InputError(f"{twice[0]} is given to --fix and to --bounds; hold it or bound it.")
+    if request.choices.bounds.get("vB", (0.0, 1.0))[1] > 1.0:
+        raise InputError(f"Bounds of vB reach {request.choices.bounds['vB'][1]:g}; a fraction of volume is at most 1.")
     if not 0 <= t_star < math.inf:
         raise InputError(f"--t-star is {t_star:g}; give minutes from injection, 0 or more.")
     if dispersion is not None and not 0 <= dispersion < math.inf:

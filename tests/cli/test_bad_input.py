@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -144,6 +145,10 @@ STUDIES: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         lambda root: dump(root / BLOOD, blood_text().replace("\t0.4298", "\t42.98").replace("\t1\n", "\t100\n")),
         ("is a fraction between 0 and 1", "percent"),
     ),
+    "no-parent-at-all": (
+        lambda root: dump(root / BLOOD, re.sub(r"\t[\d.]+\n", "\t0\n", blood_text())),
+        ("metabolite_parent_fraction is 0 in every row", "--parent-fraction none"),
+    ),
     "no-blood": (
         lambda root: [path.unlink() for path in (root / BLOOD).parent.glob("*_blood.*")],
         ("there is no blood", "give --blood"),
@@ -171,6 +176,7 @@ OPTIONS: dict[str, tuple[list[object], tuple[str, ...]]] = {
     "bounds-of-another-model": (["--model", "1TCM", "--bounds", "k4=0:1"], ("'k4' is no parameter of 1TCM",)),
     "bounds-infinite": (["--bounds", "K1=0:inf"], ("'inf' is not a finite number",)),
     "fix-too-large": (["--fix", "vB=1.5"], ("vB cannot be fixed at 1.5",)),
+    "bounds-of-a-fraction": (["--bounds", "vB=0:3"], ("Bounds of vB reach 3",)),
     "fix-text": (["--fix", "vB=little"], ("'little' is not a finite number",)),
     "fix-no-symbol": (["--fix", "0.05"], ("SYMBOL=VALUE",)),
     "fix-and-bounds": (["--fix", "vB=0.05", "--bounds", "vB=0:0.1"], ("vB is given to --fix and to --bounds",)),

@@ -13,6 +13,7 @@ import pytest
 
 from .conftest import Ran
 from .tiny_study import (
+    ATLAS,
     BLOOD,
     DSEG,
     DURATIONS,
@@ -106,6 +107,15 @@ def test_regions_carry_their_labels(exact: Path, petkin_command: Command) -> Non
     assert sidecar["Sources"][:2] == ["bids:raw:sub-01/pet/sub-01_pet.json", "bids:raw:sub-01/pet/sub-01_pet.nii.gz"]
     assert "counting" in sidecar["Weights"]
     assert sidecar["InputDelay"] == 0
+
+
+def test_regions_of_unlucky_names_stay_apart(study: Path, petkin_command: Command) -> None:
+    """Names become columns beside frame_start and frame_end."""
+    dump(study / ATLAS / "sub-01_seg-atlas_dseg.tsv", "index\tname\n1\tframe_start\n4\tframe_end\n")
+    assert petkin_command("tacs", study).status == 0
+    table = pd.read_csv(study / RESULTS / "sub-01_seg-atlas_tacs.tsv", sep="\t")
+    assert list(table.columns) == ["frame_start", "frame_end", "frame_start-1", "frame_end-4"]
+    assert list(table["frame_start"]) == STARTS
 
 
 def test_level(study: Path, petkin_command: Command) -> None:

@@ -8,7 +8,7 @@ Where that loses digits (two rates nearly the same), the columns are built and o
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import lanes
@@ -102,35 +102,43 @@ def _run(
     last = float(len(products.own))
     position = np.clip((np.log(exponentials[1::2] + RATE_OFFSET) - products.low) / products.spacing, 0.0, last)
     position = np.where(np.isfinite(position), position, 0.0)
-    _all(
-        products.rows, products.gram, products.own, products.blood, position, exponentials[::2], speed, chain,
-        np.stack(columns), np.ascontiguousarray(held), macro_chain, covariance, variance,
-    )  # fmt: skip
+    p, size = len(columns), products.rows.shape[0]
+    scratch = (
+        np.zeros((lanes.PRODUCTS + VECTORS * VECTORS) * LANES),
+        np.zeros((p + 1, VECTORS, LANES)),
+        np.empty((p, p, LANES)),
+        np.zeros((p, p, LANES)),
+        np.zeros((p, LANES)),
+        np.empty(LANES),
+        np.empty((VECTORS, LANES)),
+        np.empty(LANES),
+        np.empty((VECTORS, size)),
+        np.empty((p, size)),
+        np.empty((2, p, p)),
+    )
+    tables = (products.rows, products.gram, products.own, products.blood)
+    held = np.ascontiguousarray(held)
+    theta = np.stack(columns)
+    _all(tables, position, exponentials[::2], speed, chain, theta, held, macro_chain, covariance, variance, scratch)
 
 
 def _fill(array: NDArray, spare: int) -> NDArray:
     return np.concatenate([array, np.zeros((*array.shape[:-1], spare), array.dtype)], axis=-1)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _all(rows, gram, own, blood, position, phi, speed, chain, theta, held, macro_chain, covariance, variance):
-    p, count = theta.shape
-    for block in prange(count // LANES):
-        start = block * LANES
-        work = np.zeros((lanes.PRODUCTS + VECTORS * VECTORS) * LANES)
-        column = np.zeros((p + 1, VECTORS, LANES))
-        normal, inverse = np.empty((p, p, LANES)), np.zeros((p, p, LANES))
-        scale, lost = np.zeros((p, LANES)), np.empty(LANES)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _all(tables, position, phi, speed, chain, theta, held, macro_chain, covariance, variance, scratch):
+    rows, gram, own, blood = tables
+    work, column, normal, inverse, scale, lost, seen, square, vectors, axes, upper = scratch
+    for start in range(0, theta.shape[1], LANES):
         _gather(work, start, gram, own, position)
         lanes.inner_products(work)
-        _columns(start, blood, phi, speed, chain, theta[p - 1], column)
-        normal_equations(
-            work, column, theta[:, start : start + LANES], held[:, start : start + LANES], normal, scale, lost
-        )
+        _columns(start, blood, phi, speed, chain, theta, column)
+        normal_equations(work, start, column, theta, held, normal, scale, lost, seen, square)
         invert(normal, inverse, scale, lost)
         for n in range(LANES):
             if lost[n] > _LOST:
-                orthogonalise(rows, position[:, start + n], column[:, :, n], scale[:, n], normal[:, :, n])
+                orthogonalise(rows, position, start, n, column, scale, normal, vectors, axes, upper)
         _hand_over(start, normal, macro_chain, covariance, variance)
 
 
@@ -152,22 +160,22 @@ def _gather(work, start, gram, own, position):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _columns(start, blood, phi, speed, chain, vB, column):
+def _columns(start, blood, phi, speed, chain, theta, column):
     """Every parameter's column, and last the curve itself, as combinations of the five vectors."""
     rates = chain.shape[1]
     for m in range(phi.shape[0]):
         for q in range(rates):
             for n in range(LANES):
-                tissue = 1.0 - vB[start + n]
+                tissue = 1.0 - theta[rates, start + n]
                 column[q, 1 + 2 * m, n] = chain[2 * m, q, start + n] * tissue
                 moved = chain[2 * m + 1, q, start + n] * phi[m, start + n] * speed[m, start + n]
                 column[q, 2 + 2 * m, n] = moved * tissue
         for n in range(LANES):
             column[rates, 1 + 2 * m, n] = -phi[m, start + n]
-            column[rates + 1, 1 + 2 * m, n] = phi[m, start + n] * (1.0 - vB[start + n])
+            column[rates + 1, 1 + 2 * m, n] = phi[m, start + n] * (1.0 - theta[rates, start + n])
     for n in range(LANES):
         column[rates, 0, n] = blood
-        column[rates + 1, 0, n] = blood * vB[start + n]
+        column[rates + 1, 0, n] = blood * theta[rates, start + n]
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")

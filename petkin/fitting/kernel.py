@@ -16,14 +16,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import lanes
 from petkin.fitting.lanes import LANES, OWN, REGISTER, ROWS
 from petkin.fitting.look_up import GROUP, PAIR, SINGLE, look_up
 
-#: Curves that a thread works through at a time: what it keeps of them fits the second-level cache.
+#: Curves worked through at a time, a multiple of GROUP: what is kept of them fits the second-level cache.
 BLOCK = 128
 
 #: Columns of the kernel's answer.
@@ -72,9 +72,25 @@ class Tables(NamedTuple):
     lengths: NDArray[np.float64]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def search(z, sizes, tables, kind, tolerance, again):
-    """Fit every column of z.
+class Scratch(NamedTuple):
+    """Room to work in, made once a call."""
+
+    seen: NDArray[np.float64]
+    scaled: NDArray[np.floating]
+    projections: NDArray[np.floating]
+    scores: NDArray[np.floating]
+    chosen: NDArray[np.int32]
+    work: NDArray[np.float64]
+    curve: NDArray[np.int64]
+    plan: NDArray[np.float64]
+    along: NDArray[np.float64]
+    found: NDArray[np.float64]
+
+
+def search(
+    z: NDArray[np.float64], sizes: NDArray[np.float64], tables: Tables, kind: int, tolerance: float, again: float
+) -> NDArray[np.float64]:
+    """Fit every column of z, on this thread and without the interpreter's lock.
 
     Args:
         z: compressed curves (R, N), C order.
@@ -88,79 +104,104 @@ def search(z, sizes, tables, kind, tolerance, again):
         (7, N): u1 >= u2, blood, x1, x2, cost (without the part of the curve outside the compressed space), steps of the
         polish that led there.
     """
-    count = z.shape[1]
-    answer = np.empty((7, count))
-    blocks = (count + BLOCK - 1) // BLOCK
-    for block in prange(blocks):
-        start = block * BLOCK
-        stop = min(start + BLOCK, count)
-        found = np.empty((stop - start, 7))
-        _fit_block(z, sizes, start, tables, kind, tolerance, again, found)
-        for v in range(stop - start):
-            swap = found[v, U2] > found[v, U1]
-            n = start + v
-            answer[U1, n] = tables.low + tables.spacing * (found[v, U2] if swap else found[v, U1])
-            answer[U2, n] = tables.low + tables.spacing * (found[v, U1] if swap else found[v, U2])
-            answer[X1, n], answer[X2, n] = (found[v, X2], found[v, X1]) if swap else (found[v, X1], found[v, X2])
-            answer[X0, n], answer[COST, n], answer[STEPS, n] = found[v, X0], found[v, COST], found[v, STEPS]
+    nodes, precision = len(tables.coarse), tables.atoms.dtype
+    scratch = Scratch(
+        seen=np.empty((BLOCK, tables.rows.shape[1])),
+        scaled=np.zeros((len(z), GROUP), precision),
+        projections=np.empty((nodes, GROUP), precision),
+        scores=np.empty(GROUP, precision),
+        chosen=np.empty(BLOCK, np.int32),
+        work=np.zeros(ROWS * LANES),
+        curve=np.empty(LANES, np.int64),
+        plan=np.empty((BLOCK, 4)),
+        along=np.empty(nodes),
+        found=np.empty((BLOCK, 7)),
+    )
+    answer = np.empty((7, z.shape[1]))
+    _search(z, sizes, tables, scratch, kind, tolerance, again, answer)
     return answer
 
 
-@njit(cache=True, error_model="numpy")
-def _fit_block(z, sizes, start, tables, kind, tolerance, again, answer):
-    """Every curve of a block; positions instead of u in the answer."""
-    # Arrays are unpacked once: handing the tuple on costs a reference count an array and call.
-    blood, _, spacing, rows, gram, own, coarse, atoms, lead, near, toward, lean, lengths = tables
-    size = answer.shape[0]
-    seen = np.empty((size, rows.shape[1]))
-    _see(z, start, rows, seen)
-    chosen = np.empty((BLOCK + GROUP - 1) // GROUP * GROUP, np.int32)
-    _look(z, sizes, start, size, atoms, lead, near, blood > 0.0, kind, chosen)
-    work = np.zeros(ROWS * LANES)
-    curve = np.empty(LANES, np.int64)
-    plan = np.zeros((size, 4))
-    along = np.empty(len(coarse))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _search(z, sizes, tables, scratch, kind, tolerance, again, answer):
+    # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
+    blood, low, spacing, rows, gram, own, coarse, atoms, lead, near, toward, lean, lengths = tables
+    seen, scaled, projections, scores, chosen, work, curve, plan, along, found = scratch
     second, free = (0.0 if kind == SINGLE else 1.0), (1.0 if kind == PAIR else 0.0)
     last, reach = float(own.shape[0]), _REACH / spacing
-    used = fed = 0
-    while True:
-        while used < LANES and fed < size:
-            faster, slower = divmod(chosen[fed], len(coarse))
-            curve[used] = fed
-            _enter(work, used, coarse[faster], coarse[slower] if kind == PAIR else 0.0)
-            work[lanes.SIZE * LANES + used] = sizes[start + fed]
-            work[lanes.BLOOD_SEEN * LANES + used] = blood * z[0, start + fed]
-            used, fed = used + 1, fed + 1
-        if used == 0:
-            break
-        _gather(work, used, curve, gram, own, seen, kind)
-        registers = (used + REGISTER - 1) // REGISTER
-        lanes.evaluate(work, registers, blood, second, free)
-        lanes.propose(work, registers, last, reach, tolerance)
-        n = 0
-        while n < used:
-            if work[lanes.DONE * LANES + n] == 0.0:
-                n += 1
-                continue
-            v = curve[n]
-            _settle(work, n, answer, v, plan[v, _STAGE] == 0.0)
-            x, y = _again(
-                answer, plan, v, seen, blood, kind, own.shape[0], coarse, toward, lean, lengths, tolerance, again, along
-            )
-            if x >= 0.0:
-                _enter(work, n, x, y)
-                n += 1
-                continue
-            used -= 1
-            curve[n] = curve[used]
-            for row in range(lanes.STATE):
-                work[row * LANES + n] = work[row * LANES + used]
+    for start in range(0, z.shape[1], BLOCK):
+        size = min(BLOCK, z.shape[1] - start)
+        _see(z, start, size, rows, seen)
+        for first in range(0, size, GROUP):
+            _scale(z, sizes, start + first, min(GROUP, size - first), scaled)
+            look_up(scaled, atoms, lead, near, kind, blood > 0.0, projections, scores, chosen[first : first + GROUP])
+        plan[:] = 0.0
+        used = fed = 0
+        while True:
+            while used < LANES and fed < size:
+                faster, slower = divmod(chosen[fed], len(coarse))
+                curve[used] = fed
+                _enter(work, used, coarse[faster], coarse[slower] if kind == PAIR else 0.0)
+                work[lanes.SIZE * LANES + used] = sizes[start + fed]
+                work[lanes.BLOOD_SEEN * LANES + used] = blood * z[0, start + fed]
+                used, fed = used + 1, fed + 1
+            if used == 0:
+                break
+            _gather(work, used, curve, gram, own, seen, kind)
+            registers = (used + REGISTER - 1) // REGISTER
+            lanes.evaluate(work, registers, blood, second, free)
+            lanes.propose(work, registers, last, reach, tolerance)
+            n = 0
+            while n < used:
+                if work[lanes.DONE * LANES + n] == 0.0:
+                    n += 1
+                    continue
+                v = curve[n]
+                _settle(work, n, found, v, plan[v, _STAGE] == 0.0)
+                x, y = _again(
+                    found,
+                    plan,
+                    v,
+                    seen,
+                    blood,
+                    kind,
+                    own.shape[0],
+                    coarse,
+                    toward,
+                    lean,
+                    lengths,
+                    along,
+                    tolerance,
+                    again,
+                )
+                if x >= 0.0:
+                    _enter(work, n, x, y)
+                    n += 1
+                else:
+                    used -= 1
+                    curve[n] = curve[used]
+                    for row in range(lanes.STATE):
+                        work[row * LANES + n] = work[row * LANES + used]
+        _hand_over(found, start, size, low, spacing, answer)
+
+
+@njit(cache=True, error_model="numpy")
+def _hand_over(found, start, size, low, spacing, answer):
+    """A block's answers, the faster exponential first and u instead of positions."""
+    for v in range(size):
+        swap = found[v, U2] > found[v, U1]
+        n = start + v
+        answer[U1, n] = low + spacing * (found[v, U2] if swap else found[v, U1])
+        answer[U2, n] = low + spacing * (found[v, U1] if swap else found[v, U2])
+        answer[X1, n] = found[v, X2] if swap else found[v, X1]
+        answer[X2, n] = found[v, X1] if swap else found[v, X2]
+        answer[X0, n], answer[COST, n], answer[STEPS, n] = found[v, X0], found[v, COST], found[v, STEPS]
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _see(z, start, rows, seen):
+def _see(z, start, size, rows, seen):
     """Every row of the table on every curve of the block, eight directions at a time."""
-    for v in range(seen.shape[0]):
+    for v in range(size):
         n = start + v
         for k in range(rows.shape[1]):
             seen[v, k] = 0.0
@@ -180,18 +221,12 @@ def _see(z, start, rows, seen):
 
 
 @njit(cache=True, error_model="numpy")
-def _look(z, sizes, start, size, atoms, lead, near, has_blood, kind, chosen):
-    """The look-up of a block, GROUP curves at a time, each scaled to unit length."""
-    nodes = atoms.shape[0]
-    scaled = np.zeros((z.shape[0], GROUP), atoms.dtype)
-    c, scores = np.empty((nodes, GROUP), atoms.dtype), np.empty(GROUP, atoms.dtype)
-    for first in range(0, size, GROUP):
-        for n in range(min(GROUP, size - first)):
-            scale = 1.0 / np.sqrt(max(sizes[start + first + n], 1e-300))
-            for r in range(z.shape[0]):
-                scaled[r, n] = z[r, start + first + n] * scale
-        group = chosen[first : first + GROUP]
-        look_up(scaled, atoms, lead, near, kind, has_blood, c, scores, group)
+def _scale(z, sizes, start, count, scaled):
+    """Curves of unit length for the look-up."""
+    for n in range(count):
+        scale = 1.0 / np.sqrt(max(sizes[start + n], 1e-300))
+        for r in range(z.shape[0]):
+            scaled[r, n] = z[r, start + n] * scale
 
 
 @njit(cache=True, error_model="numpy")
@@ -243,7 +278,7 @@ def _settle(work, n, out, v, first):
 
 
 @njit(cache=True, error_model="numpy")
-def _again(out, plan, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, tolerance, again, along):
+def _again(out, plan, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, along, tolerance, again):
     """Positions of the curve's next polish, or -1 where it is finished."""
     if plan[v, _STAGE] == 1.0 and out[v, X2] > 0.0:
         plan[v, _STAGE] = 2.0

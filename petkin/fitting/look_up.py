@@ -1,7 +1,7 @@
 """The exhaustive first look: every coarse node or pair of nodes scored for many curves at once.
 
 A pair's amplitudes have a closed form, so a score is some fourteen operations without a branch, and neighbouring curves
-fill a vector register. The winner is only where the polish starts, so voxels are scored in single precision.
+fill a vector register. The winner is only where the polish starts, so they are scored in single precision.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from petkin.errors import InputError
 from petkin.fitting.bounded import ON_BOUND, fit_in_box
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.kernel import Tables
+from petkin.fitting.parts import in_parts
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Estimate, FitResult
 from petkin.fitting.search import REGIONS, Effort, search_among, search_tables
@@ -140,19 +141,19 @@ def _fit_shared(
     frames = _readable(curves).T
     best = Optimum.of(len(settings.model.parameters), len(curves))
     tables = search_tables(packed, settings.effort, blood=_takes_blood(settings.box))
-    left: list[_Left] = []
-    for start in range(0, len(curves), _CHUNK):
-        rows = slice(start, min(start + _CHUNK, len(curves)))
+
+    def fit(rows: slice) -> _Left:
         z, sizes, best.finite[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
         best.signal[rows] = best.finite[rows] & (packed.basis.sum(axis=0) @ z > 0)
         outside = _free_optimum(z, sizes, rows, best, tables, settings)
         chosen = np.flatnonzero(outside | settings.effort.refine)
-        left.append(_Left(start + chosen, z[:, chosen], sizes[chosen], outside[chosen]))
-    _fit_left(left, best, packed, settings)
+        return _Left(rows.start + chosen, z[:, chosen], sizes[chosen], outside[chosen])
+
+    _fit_left(in_parts(fit, len(curves)), best, packed, settings)
     best.theta[:, ~best.signal] = np.nan
     judge = Judge(settings.model, settings.box, settings.rate_bounds, packed, weights, settings.standard_errors)
     predicted = _predict(best.theta.T, packed, weights, settings) if settings.keep_predicted else None
-    return judge.summarise(best, predicted, chunk=_CHUNK)
+    return judge.summarise(best, predicted)
 
 
 def _readable(curves: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -18,36 +18,35 @@ _ROUNDING = 1e-16
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def normal_equations(work, column, theta, held, normal, scale, lost):
+def normal_equations(work, start, column, theta, held, normal, scale, lost, seen, square):
     """Lower triangle of C^T G C scaled to unit diagonal; parameters that are held, or not felt, are cut loose.
 
     Args:
         work: scratch of `lanes` with G in the rows from PRODUCTS on.
+        start: first of the LANES curves in `theta` and `held`.
         column: C (P + 1, VECTORS, LANES), last the curve itself.
-        theta: parameters (P, LANES).
-        held: (P, LANES).
+        theta: parameters (P, N).
+        held: (P, N).
         normal: answer (P, P, LANES).
         scale: 1 / sqrt of the diagonal (P, LANES), zero for what is cut loose.
         lost: relative error of the matrix by cancellation (LANES,).
+        seen, square: scratch (VECTORS, LANES), (LANES,).
     """
     p = normal.shape[0]
-    seen = np.empty((VECTORS, LANES))
-    curve = np.empty(LANES)
-    lost[:] = 0.0
-    for q in range(p, -1, -1):
+    _apply(work, column, p, seen)
+    for n in range(LANES):
+        lost[n] = 0.0
+        square[n] = _inner(seen, column, p, n)
+    for q in range(p):
         _apply(work, column, q, seen)
-        if q == p:
-            for n in range(LANES):
-                curve[n] = _inner(seen, column, q, n)
-            continue
         for s in range(q, p):
             for n in range(LANES):
                 normal[s, q, n] = _inner(seen, column, s, n)
         for n in range(LANES):
-            square = normal[q, q, n]
-            free = (not held[q, n]) & (square > 0.0) & (square < np.inf)
-            free = free & (theta[q, n] * theta[q, n] * square > _FELT * _FELT * curve[n])
-            scale[q, n] = 1.0 / np.sqrt(square) if free else 0.0
+            own = normal[q, q, n]
+            free = (not held[q, start + n]) & (own > 0.0) & (own < np.inf)
+            free = free & (theta[q, start + n] ** 2 * own > _FELT * _FELT * square[n])
+            scale[q, n] = 1.0 / np.sqrt(own) if free else 0.0
         for n in range(LANES):
             terms = _ROUNDING * _terms(work, column, q, n) * scale[q, n] * scale[q, n]
             lost[n] = max(lost[n], terms)
@@ -106,7 +105,6 @@ def invert(normal, inverse, scale, lost):
     `lost` comes in as the relative error of the matrix and goes out as that of the least pivot.
     """
     p = normal.shape[0]
-    least = np.ones(LANES)
     for i in range(p):
         for j in range(i + 1):
             for k in range(j):
@@ -116,11 +114,13 @@ def invert(normal, inverse, scale, lost):
                 if i == j:
                     value = normal[i, i, n]
                     inverse[i, i, n] = 1.0 / np.sqrt(value) if value > SMALLEST else LARGEST
-                    least[n] = min(least[n], max(value, 1e-300))
                 else:
                     normal[i, j, n] *= inverse[j, j, n]
     for n in range(LANES):
-        lost[n] /= least[n]
+        steepest = 0.0
+        for i in range(p):
+            steepest = max(steepest, inverse[i, i, n])
+        lost[n] *= steepest * steepest
     for i in range(p):
         for j in range(i):
             for n in range(LANES):
@@ -141,47 +141,75 @@ def invert(normal, inverse, scale, lost):
                 normal[i, j, n] *= scale[i, n] * scale[j, n]
 
 
-@njit(cache=True, error_model="numpy")
-def orthogonalise(rows, position, column, scale, answer):
-    """The same inverse for one curve from its columns themselves, by modified Gram-Schmidt: half the digits lost.
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def orthogonalise(rows, position, start, n, column, scale, normal, vectors, axes, work):
+    """The same inverse for one lane from its columns themselves, by modified Gram-Schmidt: half the digits lost.
 
     Args:
         rows: the table (R, 2 nodes).
-        position: of the exponentials between nodes (m,).
-        column: C (P + 1, VECTORS).
-        scale: as above; what is cut loose stays so.
-        answer: lower triangle (P, P).
+        position: of the exponentials between nodes (m, N).
+        start, n: the curve is start + n, its lane n.
+        column, scale, normal: as above; what is cut loose stays so, the answer is the lower triangle.
+        vectors, axes, work: scratch (VECTORS, R), (P, R), (2, P, P).
     """
-    p, size = answer.shape[0], rows.shape[0]
-    vectors = np.zeros((VECTORS, size))
-    vectors[0, 0] = 1.0
-    for m in range(len(position)):
-        i = min(int(position[m]), rows.shape[1] // 2 - 2)
-        a, e = lanes.value_weights(position[m] - i), lanes.slope_weights(position[m] - i)
-        for r in range(size):
+    p = normal.shape[0]
+    upper, inverse = work[0], work[1]
+    _read_vectors(rows, position, start + n, vectors)
+    for q in range(p):
+        _combine(column, scale, q, n, vectors, axes)
+        for k in range(q):
+            upper[k, q] = _dot(axes, k, q)
+            for r in range(axes.shape[1]):
+                axes[q, r] -= upper[k, q] * axes[k, r]
+        square = _dot(axes, q, q)
+        felt = square > SMALLEST
+        inverse[q, q] = 1.0 / np.sqrt(square) if felt else (LARGEST if scale[q, n] > 0.0 else 0.0)
+        for r in range(axes.shape[1]):
+            axes[q, r] = axes[q, r] * inverse[q, q] if felt else 0.0
+        for j in range(q):
+            inverse[j, q] = 0.0
+            for k in range(j, q):
+                inverse[j, q] -= inverse[j, k] * upper[k, q] * inverse[q, q]
+    for i in range(p):
+        for j in range(i + 1):
+            normal[i, j, n] = 0.0
+            for k in range(i, p):
+                normal[i, j, n] += inverse[i, k] * inverse[j, k] * scale[i, n] * scale[j, n]
+
+
+@njit(cache=True, error_model="numpy")
+def _read_vectors(rows, position, curve, vectors):
+    """The five vectors of a curve."""
+    for r in range(vectors.shape[1]):
+        for v in range(VECTORS):
+            vectors[v, r] = 0.0
+        vectors[0, r] = 1.0 if r == 0 else 0.0
+    for m in range(position.shape[0]):
+        i = min(int(position[m, curve]), rows.shape[1] // 2 - 2)
+        a, e = lanes.value_weights(position[m, curve] - i), lanes.slope_weights(position[m, curve] - i)
+        for r in range(vectors.shape[1]):
             for k in range(4):
                 vectors[1 + 2 * m, r] += a[k] * rows[r, 2 * i + k]
                 vectors[2 + 2 * m, r] += e[k] * rows[r, 2 * i + k]
-    axes = np.zeros((p, size))
-    upper, inverse = np.zeros((p, p)), np.zeros((p, p))
-    for q in range(p):
-        if scale[q] > 0.0:
-            axes[q] = scale[q] * (np.ascontiguousarray(column[q]) @ vectors)
-            exact = np.sqrt(axes[q] @ axes[q])
-            scale[q] /= exact
-            axes[q] /= exact
-        for k in range(q):
-            upper[k, q] = axes[k] @ axes[q]
-            axes[q] -= upper[k, q] * axes[k]
-        length = np.sqrt(axes[q] @ axes[q])
-        felt = length * length > SMALLEST
-        inverse[q, q] = 1.0 / length if felt else (LARGEST if scale[q] > 0.0 else 0.0)
-        axes[q] *= inverse[q, q] if felt else 0.0
-        for j in range(q):
-            total = 0.0
-            for k in range(j, q):
-                total += inverse[j, k] * upper[k, q]
-            inverse[j, q] = -total * inverse[q, q]
-    for i in range(p):
-        for j in range(i + 1):
-            answer[i, j] = (inverse[i, i:] @ inverse[j, i:]) * scale[i] * scale[j]
+
+
+@njit(cache=True, error_model="numpy")
+def _combine(column, scale, q, n, vectors, axes):
+    """A parameter's column at unit length, zero where it is cut loose; its scale from the column itself."""
+    for r in range(axes.shape[1]):
+        axes[q, r] = 0.0
+        for v in range(VECTORS):
+            axes[q, r] += column[q, v, n] * vectors[v, r] * scale[q, n]
+    if scale[q, n] > 0.0:
+        length = np.sqrt(_dot(axes, q, q))
+        scale[q, n] /= length
+        for r in range(axes.shape[1]):
+            axes[q, r] /= length
+
+
+@njit(cache=True, error_model="numpy")
+def _dot(axes, i, j):
+    total = 0.0
+    for r in range(axes.shape[1]):
+        total += axes[i, r] * axes[j, r]
+    return total

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting.table import Compression
 
 Array = NDArray[np.float64]
 
-#: Curves that a thread handles at a time.
+#: Curves handled at a time.
 _BLOCK = 64
 #: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
 _LARGEST = 1e30
@@ -31,18 +31,18 @@ def project_curves(packed: Compression, weights: Array, frames: NDArray[np.float
     z = np.empty((packed.size, stop - start))
     sizes = np.empty(stop - start)
     finite = np.empty(stop - start, np.bool_)
-    _project(frames, start, packed.project, weights, z, sizes, finite)
+    scratch = np.zeros((frames.shape[0], _BLOCK)), np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    _project(frames, start, packed.project, weights, z, sizes, finite, scratch)
     return z, sizes, finite
 
 
-@njit(cache=True, parallel=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def _project(frames, start, project, weights, z, sizes, finite):
-    count = z.shape[1]
-    for block in prange((count + _BLOCK - 1) // _BLOCK):
-        first = block * _BLOCK
-        width = min(_BLOCK, count - first)
-        y = np.zeros((frames.shape[0], _BLOCK))
-        total, out, wrong = np.zeros(_BLOCK), np.empty(_BLOCK), np.zeros(_BLOCK)
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def _project(frames, start, project, weights, z, sizes, finite, scratch):
+    y, total, wrong, out = scratch
+    for first in range(0, z.shape[1], _BLOCK):
+        width = min(_BLOCK, z.shape[1] - first)
+        for n in range(_BLOCK):
+            total[n], wrong[n] = 0.0, 0.0
         for k in range(frames.shape[0]):
             for n in range(width):
                 y[k, n] = frames[k, start + first + n]
@@ -54,7 +54,8 @@ def _project(frames, start, project, weights, z, sizes, finite):
             finite[first + n] = good
             sizes[first + n] = total[n] if good else 0.0
         for r in range(project.shape[0]):
-            out[:] = 0.0
+            for n in range(_BLOCK):
+                out[n] = 0.0
             k = 0
             while k + 4 <= project.shape[1]:
                 q0, q1, q2, q3 = project[r, k], project[r, k + 1], project[r, k + 2], project[r, k + 3]

@@ -93,8 +93,7 @@ def search_tables(packed: Compression, effort: Effort, *, blood: bool) -> kernel
     products = packed.products
     coarse = np.unique(np.linspace(0, len(packed.u) - 1, effort.coarse).round().astype(np.int64))
     lengths = np.linalg.norm(packed.basis[coarse], axis=1)
-    # The look-up only says where to start: single precision does for voxels.
-    precision = np.float64 if effort.refine else np.float32
+    # The look-up only says where to start: single precision does.
     atoms, lead = _off_blood(packed.basis[coarse], blood=blood)
     return kernel.Tables(
         blood=packed.blood if blood else 0.0,
@@ -104,9 +103,9 @@ def search_tables(packed: Compression, effort: Effort, *, blood: bool) -> kernel
         gram=products.gram,
         own=products.own,
         coarse=coarse,
-        atoms=atoms.astype(precision),
-        lead=lead.astype(precision),
-        near=(atoms @ atoms.T).astype(precision),
+        atoms=atoms.astype(np.float32),
+        lead=lead.astype(np.float32),
+        near=(atoms @ atoms.T).astype(np.float32),
         toward=products.gram[:, 2 * coarse] / lengths,
         lean=packed.basis[coarse, 0] / lengths,
         lengths=lengths,

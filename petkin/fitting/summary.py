@@ -11,6 +11,7 @@ from petkin.dynamics import ParameterSet
 from petkin.fitting.bounded import ON_BOUND
 from petkin.fitting.covariance import impulse_partials, variances
 from petkin.fitting.dual import partials
+from petkin.fitting.parts import in_parts
 from petkin.fitting.results import Estimate, FitResult, Status
 from petkin.fitting.table import Compression
 from petkin.kinetics import CompartmentModel
@@ -64,17 +65,19 @@ class Judge:
     weights: Array
     errors: bool
 
-    def summarise(self, best: Optimum, predicted: Array | None, *, chunk: int) -> FitResult:
-        """The result, `chunk` curves at a time."""
+    def summarise(self, best: Optimum, predicted: Array | None) -> FitResult:
+        """The result."""
         model, box = self.model, self.box
         frames, free = int(np.count_nonzero(self.weights > 0)), len(box.free)
         names = [*[(p.symbol, p.unit) for p in model.parameters], *[(m.symbol, m.unit) for m in model.macros]]
         values, percent = (np.empty((len(names), len(best.cost))) for _ in range(2))
         on_bound = np.zeros(len(best.cost), np.bool_)
         chi2 = best.cost / (frames - free)
-        for start in range(0, len(chi2), chunk):
-            rows = slice(start, start + chunk)
+
+        def look_at(rows: slice) -> None:
             values[:, rows], percent[:, rows], on_bound[rows] = self._look_at(best.theta[:, rows], chi2[rows])
+
+        in_parts(look_at, len(chi2))
         status = self._status(best, percent, on_bound)
         missing = (status == Status.NO_SIGNAL) | (status == Status.NOT_FINITE)
         values[:, missing], percent[:, missing] = np.nan, np.nan

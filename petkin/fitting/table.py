@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -176,11 +176,11 @@ def compress(table: BasisTable, weights: Array, *, tolerance: float = 0.0, size:
     return Compression(axes * root, root, weighted @ axes.T, (table.slope * root) @ axes.T, length, table.u)
 
 
-@njit(cache=True, parallel=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, error_model="numpy")
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, error_model="numpy")
 def project_rows(axes: Array, rows: Array) -> Array:
     """axes @ rows.T, to the bit the same for a row whatever stands beside it (a library's product is not)."""
     answer = np.empty((axes.shape[0], rows.shape[0]))
-    for n in prange(rows.shape[0]):
+    for n in range(rows.shape[0]):
         for r in range(axes.shape[0]):
             total = 0.0
             for k in range(axes.shape[1]):

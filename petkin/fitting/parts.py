@@ -1,0 +1,28 @@
+"""Curves handled in parts: each fits the cache, and every processor core takes the next one that waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numba
+
+T = TypeVar("T")
+
+#: Curves in a part: some hundred kilobytes an array of numbers. Results do not depend on it.
+PART = 16384
+
+
+def in_parts(work: Callable[[slice], T], count: int) -> list[T]:
+    """`work` on the slices that make up range(count), in order of the slices.
+
+    The parts run on as many threads as `numba.get_num_threads` says; compiled work and numpy leave the interpreter's
+    lock alone. What comes out of a curve must depend on that curve alone.
+    """
+    slices = [slice(start, min(start + PART, count)) for start in range(0, count, PART)]
+    threads = min(numba.get_num_threads(), len(slices))
+    if threads <= 1:
+        return [work(part) for part in slices]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, slices))

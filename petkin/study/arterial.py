@@ -52,9 +52,9 @@ def arterial_input(source: Source, request: FitRequest) -> InputFunction:
     manual, *others = (table.dropna(axis="columns", how="all") for table in blood.tables)
     automatic = others[0] if others else None
     end = float(source.frames.end[-1])
-    if request.parent_fraction != "none" and not manual.get(FRACTION, pd.Series([1.0])).max() > 0:
+    if request.parent_fraction != "none" and FRACTION in manual and not manual[FRACTION].max() > 0:
         raise InputError(
-            f"{blood.where}: {FRACTION} is 0 in every row, so that no tracer would reach the tissue; correct it, or take "
+            f"{blood.where}: {FRACTION} is 0 in every row, so no tracer would reach the tissue; correct it, or take "
             "plasma as unmetabolised with --parent-fraction none."
         )
     if automatic is None and _is_ready(manual):

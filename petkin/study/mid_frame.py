@@ -23,7 +23,8 @@ def mid_frame_shift(
         choices: the same as for the fit.
     """
     observation = FrameObservation(curves.frames, mid_frame=True)
-    read = method.fit(curves.values, arterial, observation, averaged.weights, choices, False)
+    weights = np.asarray(averaged.weights, np.float64)
+    read = method.fit(curves.values, arterial, observation, weights, choices, False)
     with np.errstate(all="ignore"):
         moved = {e.symbol: 100.0 * (read[e.symbol] / e.value - 1.0) for e in averaged.estimates}
     parts = [f"{s} {np.median(m[np.isfinite(m)]):+.2g} %" for s, m in moved.items() if np.isfinite(m).any()]

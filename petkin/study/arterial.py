@@ -52,7 +52,7 @@ def arterial_input(source: Source, request: FitRequest) -> InputFunction:
     manual, *others = (table.dropna(axis="columns", how="all") for table in blood.tables)
     automatic = others[0] if others else None
     end = float(source.frames.end[-1])
-    if request.parent_fraction != "none" and FRACTION in manual and not manual[FRACTION].max() > 0:
+    if request.parent_fraction != "none" and FRACTION in manual and not np.nanmax(manual[FRACTION]) > 0:
         raise InputError(
             f"{blood.where}: {FRACTION} is 0 in every row, so no tracer would reach the tissue; correct it, or take "
             "plasma as unmetabolised with --parent-fraction none."

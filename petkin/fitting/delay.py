@@ -110,7 +110,7 @@ def _costs(
     batch = torch.tensor(delays)
     late = replace(arterial, plasma=Shifted(arterial.plasma, batch), whole_blood=Shifted(arterial.whole_blood, batch))
     slow = 0.0 if model.trapping else rate_bounds[0]
-    tables = build_table(late, observation, rate_bounds=(slow, rate_bounds[1]), nodes=_EFFORT.nodes, exact_slopes=False)
+    tables = build_table(late, observation, rate_bounds=(slow, rate_bounds[1]), nodes=_EFFORT.nodes)
     size = np.array([np.sum(weights * curve**2)])
     costs = np.empty(len(delays))
     for i in range(len(delays)):

@@ -4,9 +4,9 @@ With the input fixed, a model curve is linear in its amplitudes, and each expone
 
     model = vB C_B + (1 - vB) sum_i phi_i B(a_i),    B_k(a) = frame k's report of e^{-a t} * C_P(t).
 
-So B is computed once, in float64 and exactly, at nodes in u = log(a + c), with its exact derivative, and read by cubic
-Hermite interpolation afterwards. The cost of a fit no longer depends on the input function. Weighted curves are then
-compressed onto the few directions that B and the blood span.
+So B is computed once, in float64 and exactly, at nodes in u = log(a + c), and read by cubic interpolation afterwards.
+The cost of a fit no longer depends on the input function. Weighted curves are then compressed onto the few directions
+that B and the blood span.
 """
 
 from __future__ import annotations
@@ -25,6 +25,10 @@ from petkin.inputs.input_function import InputFunction
 
 #: c in u = log(a + c), 1/min: nodes crowd where curves over an hour or two still tell rates apart.
 RATE_OFFSET = 1e-3
+
+#: Weights of f(x), f(x + h), ... f(x + 5 h) in h f'(x), to h^6 f^(6) / 6, and the step in u that they are used with.
+_ONE_SIDED = np.array([-137.0 / 60.0, 5.0, -5.0, 10.0 / 3.0, -5.0 / 4.0, 1.0 / 5.0])
+_STEP = 0.01
 
 Array = NDArray[np.float64]
 
@@ -61,33 +65,31 @@ def log_rate(rate: float | Array) -> float | Array:
 
 
 def build_table(
-    arterial: InputFunction,
-    observation: FrameObservation,
-    *,
-    rate_bounds: tuple[float, float],
-    nodes: int,
-    exact_slopes: bool = True,
+    arterial: InputFunction, observation: FrameObservation, *, rate_bounds: tuple[float, float], nodes: int
 ) -> BasisTable:
     """Tabulate B(a) between two rates.
+
+    B is exact at the nodes. Its slopes there are those of the cubic spline whose end slopes are exact to a part in 1e8,
+    and read between the nodes as well as exact ones do, at a fraction of their cost.
 
     Args:
         arterial: input function, kBq/mL over min.
         observation: what frames report.
         rate_bounds: lowest and highest rate, 1/min; the lowest may be 0.
-        nodes: number of nodes; 64 give 1e-6 of a curve's norm, 256 give 1e-8.
-        exact_slopes: derivatives by differentiation; else those of a cubic spline, at a third of the cost.
+        nodes: number of nodes; 64 give 1e-6 of a curve's norm, 160 give 3e-8.
     """
-    u = torch.linspace(float(log_rate(rate_bounds[0])), float(log_rate(rate_bounds[1])), nodes, dtype=torch.float64)
-    rates = (torch.exp(u) - RATE_OFFSET).clamp(min=0.0)
+    u = np.linspace(float(log_rate(rate_bounds[0])), float(log_rate(rate_bounds[1])), nodes)
+    beside = _STEP * np.arange(1, len(_ONE_SIDED))
+    every = np.concatenate([u, u[0] + beside, u[-1] - beside])
+    rates = torch.from_numpy(np.maximum(np.exp(every) - RATE_OFFSET, 0.0))
     with torch.no_grad():
+        values = observation.of_response(arterial.plasma, rates).numpy()
         blood = observation.of_forcing(arterial.whole_blood)
-        if not exact_slopes:
-            spline = CubicSpline(u.numpy(), observation.of_response(arterial.plasma, rates).numpy())
-            return BasisTable(u.numpy(), spline(u.numpy()), spline(u.numpy(), 1), blood.numpy())
-        basis, slope, *_ = torch.func.jvp(
-            lambda a: observation.of_response(arterial.plasma, a), (rates,), (torch.exp(u),)
-        )
-    return BasisTable(u.numpy(), basis.numpy(), slope.numpy(), blood.numpy())
+    basis, above, below = np.split(values, [nodes, nodes + len(beside)])
+    lowest = np.tensordot(_ONE_SIDED, np.concatenate([basis[:1], above]), 1) / _STEP
+    highest = -np.tensordot(_ONE_SIDED, np.concatenate([basis[-1:], below]), 1) / _STEP
+    spline = CubicSpline(u, basis, bc_type=((1, lowest), (1, highest)))  # type: ignore[arg-type] (stubs know only words)
+    return BasisTable(u, basis, spline(u, 1), blood.numpy())
 
 
 @dataclass(frozen=True)

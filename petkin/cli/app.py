@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from types import FrameType
@@ -63,6 +64,9 @@ def main() -> None:
     A `PetkinError` becomes one line on standard error and exit status 2, as does a disk that is full or gone; Ctrl-C
     ends it with status 130, a termination with 143. Nothing half-written is left behind in any case.
     """
+    # petkin's parts run side by side themselves: on their small matrices threads of BLAS wait for each other (a delay
+    # took seven times as long on a busy machine), and sums of another order would change the last digits.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     before = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         app()

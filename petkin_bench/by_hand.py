@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import curve_fit, least_squares
+from scipy.optimize import curve_fit, least_squares, nnls
 
 from petkin_bench.closed_form import ClosedForm
 from petkin_bench.problems import FitProblem
@@ -38,21 +38,17 @@ class HandFit:
     percent_se: Array
 
 
-def fit_by_hand(problem: FitProblem, symbols: tuple[str, ...], count: int) -> HandFit:
-    """curve_fit with bounds (method trf, 2-point Jacobian) on the first `count` curves."""
+def fit_by_hand(problem: FitProblem, symbols: tuple[str, ...], curves: int | slice) -> HandFit:
+    """curve_fit with bounds (method trf, 2-point Jacobian) on the first so many curves, or on a slice of them."""
     start = [START[s] for s in symbols]
     bounds = ([0.0] * len(symbols), [UPPER[s] for s in symbols])
     sigma = 1.0 / np.sqrt(problem.weights)
-    values, errors = np.full((count, len(symbols)), np.nan), np.full((count, len(symbols)), np.nan)
-    for n in range(count):
+    chosen = problem.curves[curves if isinstance(curves, slice) else slice(0, curves)]
+    values, errors = np.full((len(chosen), len(symbols)), np.nan), np.full((len(chosen), len(symbols)), np.nan)
+    for n, curve in enumerate(chosen):
         try:
             values[n], covariance = curve_fit(
-                lambda _, *p: problem.model_curve(*p),
-                problem.weights,
-                problem.curves[n],
-                p0=start,
-                sigma=sigma,
-                bounds=bounds,
+                lambda _, *p: problem.model_curve(*p), sigma, curve, p0=start, sigma=sigma, bounds=bounds
             )
         except RuntimeError:  # curve_fit's own word for "no convergence"
             continue
@@ -133,8 +129,6 @@ def _polish(closed_form: ClosedForm, root: Array, y: Array, rates: list[float], 
 
     def residual(x: Array) -> Array:
         return design(x[:free]) @ x[free:] - y
-
-    from scipy.optimize import nnls
 
     u = np.log(np.array(rates[:free]) + _OFFSET)
     amplitudes = nnls(design(u), y)[0]

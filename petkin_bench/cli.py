@@ -29,46 +29,56 @@ def _speed() -> None:
 @speed.command("fit")
 def speed_fit(
     voxels: Annotated[int, typer.Option(help="Curves that petkin fits, a problem.", min=1000)] = 100_000,
-    by_hand: Annotated[int, typer.Option(help="Curves fitted by hand, a problem.", min=10)] = 200,
+    by_hand: Annotated[int, typer.Option(help="Curves fitted by hand, a problem.", min=10)] = 400,
     threads: Annotated[int, typer.Option(help="Threads; 0 for all cores.", min=0)] = 0,
     quick: Annotated[bool, typer.Option("--quick", help="A small run that keeps nothing.")] = False,
 ) -> None:
     """Voxel fits with standard errors against scipy's curve_fit, in the same run, with the quality of both.
 
-    A ratio is processor time by hand over processor time of petkin, a voxel. Rows are appended to
-    petkin_bench/results/speed_fit.csv.
+    A ratio is processor time by hand over processor time of petkin, a voxel. Quality is judged on the curves that are
+    fitted by hand. Rows are appended to petkin_bench/results/speed_fit.csv.
     """
-    import tempfile
-
     import numba
 
+    from petkin_bench.problems import SEED_NOISE, SEED_TRUTH
     from petkin_bench.provenance import append_rows
-    from petkin_bench.speed import measure_graphical, measure_model
-    from petkin_bench.whole_image import SHAPE, measure_image
+    from petkin_bench.tables import print_speed
 
     if threads:
         numba.set_num_threads(min(threads, numba.get_num_threads()))
     if quick:
-        voxels, by_hand = min(voxels, 20_000), min(by_hand, 30)
-    problems = [("2TCM", 26, 15.0), ("2TCM", 26, 5.0), ("2TCM", 80, 15.0), ("2TCM3k", 26, 5.0), ("1TCM", 26, 5.0)]
+        voxels, by_hand = min(voxels, 20_000), min(by_hand, 40)
+    rows = _speed_rows(voxels, by_hand, quick=quick)
+    print_speed(rows)
+    if not quick:
+        settings = {"threads": numba.get_num_threads(), "seeds": f"{SEED_TRUTH} {SEED_NOISE}", "judged": by_hand}
+        typer.echo(f"Appended to {append_rows('speed_fit', [row | settings for row in rows])}")
+
+
+def _speed_rows(voxels: int, by_hand: int, *, quick: bool) -> list[dict[str, object]]:
+    import tempfile
+
+    from petkin_bench.graphical import measure_graphical
+    from petkin_bench.speed import PROBLEMS, measure_model
+    from petkin_bench.start import measure_start
+    from petkin_bench.whole_image import SHAPE, measure_image
+
     rows: list[dict[str, object]] = []
-    for model, frames, percent in problems[:1] if quick else problems:
-        row = measure_model(
-            model, frames=frames, percent=percent, voxels=voxels, by_hand=by_hand, judged=min(by_hand, 200)
+    for model, frames, percent in PROBLEMS[:1] if quick else PROBLEMS:
+        typer.echo(f"{model}, {frames} frames, {percent:g} % ...", err=True)
+        rows.append(
+            measure_model(model, frames=frames, percent=percent, voxels=voxels, by_hand=by_hand, judged=by_hand)
         )
-        rows.append(row)
-        typer.echo(_line(row))
-    for label in ("Patlak", "Logan"):
-        rows.append(measure_graphical(label, voxels=voxels))
-        typer.echo(_line(rows[-1]))
+    rows += [measure_graphical(label, voxels=voxels) for label in ("Patlak", "Logan")]
+    typer.echo("a whole image ...", err=True)
     with tempfile.TemporaryDirectory() as folder:
         shape = (32, 32, 16) if quick else SHAPE
         rows.append(measure_image(Path(folder), by_hand_cpu_us=float(str(rows[0]["by_hand_cpu_us"])), shape=shape))
-        typer.echo(_line(rows[-1]))
     if not quick:
-        typer.echo(
-            f"Appended to {append_rows('speed_fit', [row | {'threads': numba.get_num_threads()} for row in rows])}"
-        )
+        typer.echo("start and compilation ...", err=True)
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(measure_start(Path(folder)))
+    return rows
 
 
 @app.command()
@@ -81,29 +91,11 @@ def accuracy(
     """
     from petkin_bench.accuracy import measure_accuracy
     from petkin_bench.provenance import append_rows
+    from petkin_bench.tables import print_accuracy
 
     rows = measure_accuracy(data)
-    for row in rows:
-        typer.echo(
-            f"{row['set']:8} {row['curves']:6} {row['model']:7} {row['quantity']:4} median |error| "
-            f"{row['median_error_percent']:9.4f} %  p90 {row['p90_error_percent']:9.4f} %  failed {row['failed']}"
-            + (f"   others, clean / noisy: {row['others_clean_noisy']}" if row["others_clean_noisy"] else "")
-        )
+    print_accuracy(rows)
     typer.echo(f"Appended to {append_rows('accuracy', rows)}")
-
-
-def _line(row: dict[str, object]) -> str:
-    text = (
-        f"{row['fit']:20} {row['frames']:3} frames {row['noise_percent']:4g} %  {row['voxels_per_s']:12,.0f} voxels/s  "
-        f"{row['cpu_us_per_voxel']:8.2f} us CPU/voxel  {row['ratio_cpu']:8,.4g} x {row['baseline']}"
-    )
-    if "within_0.1_percent" in row:
-        text += (
-            f"  within 0.1 / 1 % of best: {row['within_0.1_percent']:.1f} / {row['within_1_percent']:.1f} % (by hand "
-            f"{row['by_hand_within_0.1_percent']:.1f} / {row['by_hand_within_1_percent']:.1f} %)  "
-            f"{row['outcome']} {row['bias_percent']:+.1f} +- {row['spread_percent']:.1f} %"
-        )
-    return text
 
 
 def main() -> None:

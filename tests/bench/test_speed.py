@@ -11,9 +11,10 @@ import pytest
 from petkin.errors import InputError
 from petkin_bench.accuracy import measure_accuracy
 from petkin_bench.by_hand import costs_of, fit_by_hand
+from petkin_bench.graphical import measure_graphical
 from petkin_bench.problems import DRAWN, fit_problem
 from petkin_bench.provenance import append_rows
-from petkin_bench.speed import measure_graphical, measure_model
+from petkin_bench.speed import measure_model
 from petkin_bench.whole_image import measure_image
 
 

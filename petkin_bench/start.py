@@ -1,0 +1,49 @@
+"""What a run costs before it computes: starting the program, and compiling it once."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from petkin_bench.problems import fit_problem
+from petkin_bench.whole_image import write_image
+
+_VOXELS = (6, 6, 6)
+
+
+def measure_start(folder: Path) -> dict[str, object]:
+    """One row: `petkin fit` on an image of 216 voxels in a fresh process, with compiled code and without.
+
+    Args:
+        folder: where to write the image, the results and the compiled code.
+    """
+    mask = np.ones(_VOXELS, np.bool_)
+    request = write_image(folder, fit_problem(voxels=mask.size, percent=5.0), mask)
+    command = [
+        *(sys.executable, "-m", "petkin", "fit", str(request.target), "--blood", str(folder / "blood.tsv")),
+        *("--frames", str(request.frames), "--mask", str(request.mask), "--isotope", "F18", "--units", "kBq/mL"),
+        *("--delay", "0", "--level", "voxel", "--out", str(folder / "out")),
+    ]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "compiled")}
+    first, second = (_wall(command, environment) for _ in range(2))
+    return {
+        "fit": "2TCM, start alone",
+        "frames": 26,
+        "noise_percent": 5.0,
+        "voxels": mask.size,
+        "wall_s": second,
+        "first_run_s": first,
+        "help_s": _wall([sys.executable, "-m", "petkin", "--help"], environment),
+        "baseline": "none: a fresh process, compiled code cached",
+    }
+
+
+def _wall(command: list[str], environment: dict[str, str]) -> float:
+    start = time.perf_counter()
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    return time.perf_counter() - start

@@ -1,0 +1,101 @@
+"""Results as tables for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.table import Table
+
+Row = Mapping[str, object]
+
+
+def print_speed(rows: Sequence[Row]) -> None:
+    """Speed, then quality, one line a problem, by hand beside petkin."""
+    console = Console()
+    speed = _table("Processor time a voxel, with standard errors; voxels/s by the clock")
+    for name in ("voxels/s", "us", "us, no errors", "by hand, us", "ratio"):
+        speed.add_column(name, justify="right")
+    quality = _table("Percent within 0.1 / 1 % of the best cost known; median error +- robust spread")
+    for name in ("petkin", "by hand", "petkin", "by hand"):
+        quality.add_column(name, justify="right")
+    for row in rows:
+        if "voxels_per_s" in row:
+            speed.add_row(_name(row), *_speed(row))
+        if "outcome" in row:
+            quality.add_row(_name(row), *_quality(row))
+    console.print(speed)
+    console.print(quality)
+    for line in _remarks(rows):
+        console.print(line)
+
+
+def print_accuracy(rows: Sequence[Row]) -> None:
+    """Errors on the common curves, beside what others reached."""
+    table = Table(title="Common benchmark curves, errors in percent", title_justify="left")
+    for name in ("set", "curves", "model", "quantity", "median |error|", "p90", "failed", "others, clean / noisy"):
+        table.add_column(name, justify="right" if name in ("median |error|", "p90", "failed") else "left")
+    for row in rows:
+        errors = (_number(row, "median_error_percent", ".4f"), _number(row, "p90_error_percent", ".4f"))
+        names = (str(row[key]) for key in ("set", "curves", "model", "quantity"))
+        table.add_row(*names, *errors, str(row["failed"]), str(row["others_clean_noisy"]))
+    Console().print(table)
+
+
+def _table(title: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("fit", no_wrap=True)
+    return table
+
+
+def _name(row: Row) -> str:
+    return f"{row['fit']}, {row['frames']} fr, {_number(row, 'noise_percent', 'g')} %"
+
+
+def _speed(row: Row) -> list[str]:
+    return [
+        _number(row, "voxels_per_s", ",.0f"),
+        _number(row, "cpu_us_per_voxel", ".2f"),
+        _number(row, "cpu_us_without_errors", ".2f"),
+        _number(row, "by_hand_cpu_us", ",.0f"),
+        _number(row, "ratio_cpu", ",.0f"),
+    ]
+
+
+def _quality(row: Row) -> list[str]:
+    outcome = str(row["outcome"])
+    return [
+        _pair(row, "within_0.1_percent", "within_1_percent", "{} / {}"),
+        _pair(row, "by_hand_within_0.1_percent", "by_hand_within_1_percent", "{} / {}"),
+        _pair(row, "bias_percent", "spread_percent", outcome + " {} +- {}"),
+        _pair(row, "by_hand_bias_percent", "by_hand_spread_percent", "{} +- {}"),
+    ]
+
+
+def _remarks(rows: Sequence[Row]) -> list[str]:
+    lines = []
+    for row in rows:
+        if "product_cpu_us" in row:
+            bare = _number(row, "product_cpu_us", ".3f")
+            lines.append(f"{row['fit']}: bare numpy products, values only, take {bare} us a voxel.")
+        if "wall_over_files" in row:
+            whole, read, fit, write = (_number(row, key, ".2f") for key in ("wall_s", "read_s", "fit_s", "write_s"))
+            lines.append(
+                f"{row['fit']}: {whole} s for {row['maps']} maps and a report; reading the image takes {read} s, the "
+                f"fit {fit} s, writing the maps {write} s: {_number(row, 'wall_over_files', '.1f')} x the files alone."
+            )
+        if "first_run_s" in row:
+            wall, first, text = (_number(row, key, ".1f") for key in ("wall_s", "first_run_s", "help_s"))
+            lines.append(
+                f"Start: a fresh process has fitted and written {row['voxels']} voxels after {wall} s, the first time, "
+                f"when it compiles, after {first} s; --help takes {text} s."
+            )
+    return lines
+
+
+def _number(row: Row, key: str, form: str) -> str:
+    return format(float(str(row[key])), form) if key in row else ""
+
+
+def _pair(row: Row, first: str, second: str, form: str) -> str:
+    return form.format(_number(row, first, ".1f"), _number(row, second, ".1f")) if first in row else ""

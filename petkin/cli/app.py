@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 from petkin.cli.demo import demo
 from petkin.cli.fit import fit
 from petkin.cli.info import info
+from petkin.cli.models import models
 from petkin.cli.simulate import simulate
 from petkin.cli.tacs import tacs
 from petkin.errors import PetkinError
@@ -37,7 +38,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-for verb in (simulate, fit, tacs, info, demo):
+for verb in (simulate, fit, models, tacs, info, demo):
     app.command(cls=_Panelled)(verb)
 
 

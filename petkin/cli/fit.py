@@ -17,7 +17,7 @@ def fit(
         typer.Option(
             "--model",
             "-m",
-            help="1TCM, 2TCM, 2TCM3k (k4 = 0), Patlak or Logan; repeat it to compare.",
+            help="1TCM, 2TCM, Logan, ...: `petkin models` lists all; repeat it to compare.",
             rich_help_panel=_MODEL,
         ),
     ] = ["2TCM"],  # noqa: B006 (typer reads it once)

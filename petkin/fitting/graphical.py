@@ -26,6 +26,8 @@ from petkin.inputs.input_function import InputFunction
 
 Array = NDArray[np.float64]
 
+_V0 = "initial volume: tracer in blood and in fast exchange with it"
+
 
 @dataclass(frozen=True)
 class GraphicalSettings:
@@ -66,7 +68,7 @@ def fit_patlak(
     variance = wrss[:, None] / (late.sum() - 2) * np.diag(inverse)
     predicted = np.full(curves.shape, np.nan)
     predicted[:, late] = (1.0 - settings.vB) * (solved @ design.T) + settings.vB * blood[late]
-    units = (("Ki", "mL cm^-3 min^-1"), ("V0", "mL cm^-3"))
+    units = (("Ki", "mL cm^-3 min^-1", "net influx rate"), ("V0", "mL cm^-3", _V0))
     return _result(
         "Patlak", units, solved, np.sqrt(variance), wrss, int(late.sum()), finite, usable, weights, predicted, settings
     )
@@ -108,7 +110,7 @@ def fit_logan(
         fitted = (area[:, late] - slope[:, None] * plasma_area[late]) / intercept[:, None]
         predicted[:, late] = (1.0 - settings.vB) * fitted + settings.vB * blood[late]
     solved = np.stack([slope, intercept], axis=1)
-    units = (("VT", "mL cm^-3"), ("intercept", "min"))
+    units = (("VT", "mL cm^-3", "total distribution volume"), ("intercept", "min", "where the line meets the axis"))
     return _result("Logan", units, solved, errors, wrss, int(late.sum()), finite, usable, weights, predicted, settings)
 
 
@@ -142,7 +144,7 @@ def _area_to_middle(tissue: Array, frames) -> Array:
 
 def _result(
     label: str,
-    units: tuple[tuple[str, str], ...],
+    units: tuple[tuple[str, str, str], ...],
     solved: Array,
     errors: Array,
     wrss: Array,
@@ -167,8 +169,8 @@ def _result(
     return FitResult(
         model=label,
         estimates=tuple(
-            Estimate(symbol, unit, solved[:, i] * blank, percent[:, i] * blank)
-            for i, (symbol, unit) in enumerate(units)
+            Estimate(symbol, unit, solved[:, i] * blank, percent[:, i] * blank, meaning)
+            for i, (symbol, unit, meaning) in enumerate(units)
         ),
         chi2=wrss / (count - 2) * blank,
         aicc=aicc * blank,

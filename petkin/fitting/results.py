@@ -33,19 +33,42 @@ _MEANINGS = {
     Status.NOT_FINITE: "the curve holds NaN or infinite values, not fitted",
     Status.NO_SIGNAL: "the curve holds no signal above zero, not fitted",
     Status.AT_BOUND: "fitted, but a parameter ended on a bound: its standard error does not apply",
-    Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine VT (or Ki): its standard error exceeds 100 percent",
+    Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine what the model is used for (VT, Ki, BPND): "
+    "its standard error exceeds 100 percent",
     Status.NOT_CONVERGED: "the fit ended before its tolerance was met",
 }
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One fitted or derived quantity over N curves."""
+    """One fitted or derived quantity over N curves, and what it is in words."""
 
     symbol: str
     unit: str
     value: NDArray[np.floating]
     percent_se: NDArray[np.floating]
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A picture that a method adds to its report.
+
+    Args:
+        title, x_label, y_label: as shown, with units.
+        points: measured (name, x, y).
+        lines: fitted (name, x, y).
+        mark: where a vertical line stands on the x axis, or None.
+        text: a sentence below.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    points: tuple[tuple[str, NDArray[np.floating], NDArray[np.floating]], ...]
+    lines: tuple[tuple[str, NDArray[np.floating], NDArray[np.floating]], ...] = ()
+    mark: float | None = None
+    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,6 +86,8 @@ class FitResult:
         delay: input delay used, min, and its standard error (NaN when given or not estimated).
         settings: what was chosen (bounds, fixed values, t_star, ...), for sidecars.
         remarks: what the data cannot tell, in words.
+        shared: value and percent standard error, by symbol, of what all curves have in common.
+        plots: pictures for the report.
     """
 
     model: str
@@ -76,6 +101,8 @@ class FitResult:
     delay_se: float = float("nan")
     settings: dict[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    shared: dict[str, tuple[float, float]] = field(default_factory=dict)
+    plots: tuple[Plot, ...] = ()
 
     def __getitem__(self, symbol: str) -> NDArray[np.floating]:
         """Estimates of one quantity over the N curves."""

@@ -69,7 +69,7 @@ class Judge:
         """The result."""
         model, box = self.model, self.box
         frames, free = int(np.count_nonzero(self.weights > 0)), len(box.free)
-        names = [*[(p.symbol, p.unit) for p in model.parameters], *[(m.symbol, m.unit) for m in model.macros]]
+        names = [(q.symbol, q.unit, q.meaning) for q in model.quantities]
         values, percent = (np.empty((len(names), len(best.cost))) for _ in range(2))
         on_bound = np.zeros(len(best.cost), np.bool_)
         chi2 = best.cost / (frames - free)
@@ -83,7 +83,7 @@ class Judge:
         values[:, missing], percent[:, missing] = np.nan, np.nan
         return FitResult(
             model=model.label,
-            estimates=tuple(Estimate(s, u, values[i], percent[i]) for i, (s, u) in enumerate(names)),
+            estimates=tuple(Estimate(s, u, values[i], percent[i], m) for i, (s, u, m) in enumerate(names)),
             chi2=np.where(missing, np.nan, chi2),
             aicc=np.where(missing, np.nan, _aicc(best.cost, frames, free + 1)),
             status=status,

@@ -3,49 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from petkin.io.names import PIPELINE
 
 BIDS_VERSION = "1.10.0"
-#: Units of Innis et al. 2007 (doi:10.1038/sj.jcbfm.9600493) as BEP023 spells them.
-MEASURE_UNITS = {
-    "K1": "mL cm-3 min-1",
-    "Ki": "mL cm-3 min-1",
-    "k2": "min-1",
-    "k3": "min-1",
-    "k4": "min-1",
-    "VB": "unitless",
-    "VT": "mL cm-3",
-    "VND": "mL cm-3",
-    "VS": "mL cm-3",
-    "BPND": "unitless",
-    "BPP": "mL cm-3",
-    "R1": "unitless",
-    "k2prime": "min-1",
-    "V0": "mL cm-3",
-    "intercept": "min",
-    "delay": "s",
-}
-_DESCRIPTIONS = {
-    "K1": "rate constant from plasma to tissue",
-    "Ki": "net influx rate constant K1 k3 / (k2 + k3)",
-    "k2": "rate constant from tissue to plasma",
-    "k3": "rate constant from the first to the second tissue compartment",
-    "k4": "rate constant from the second to the first tissue compartment",
-    "VB": "fraction of the volume that is blood",
-    "VT": "total distribution volume",
-    "VND": "distribution volume of the non-displaceable compartment",
-    "BPND": "binding potential relative to the non-displaceable compartment",
-    "R1": "K1 over the reference region's K1",
-    "V0": "initial volume: tracer in blood and in fast exchange with it",
-    "intercept": "where the Logan plot's line meets the axis",
-}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A quantity that a table or a map holds: symbol and unit as petkin knows them, and what it is in words."""
+
+    symbol: str
+    unit: str
+    meaning: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its name in files."""
+        return measure_name(self.symbol)
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """Description and unit for a sidecar."""
+        text = f"{self.name}: {self.meaning}" if self.meaning else self.name
+        return {"Description": text, "Units": file_unit(self.unit)}
 
 
 def measure_name(symbol: str) -> str:
     """A symbol as files write it: vB is VB, the others stay."""
     return "VB" if symbol == "vB" else symbol
+
+
+def file_unit(unit: str) -> str:
+    """A unit as BEP023 spells it: "mL cm^-3 min^-1" is "mL cm-3 min-1", no unit is "unitless"."""
+    return "unitless" if unit in ("", "1") else unit.replace("^", "")
 
 
 def dataset_description(version: str, *, name: str, sources: Sequence[str] = ()) -> dict[str, Any]:
@@ -92,15 +85,10 @@ def provenance(
     }
 
 
-def map_sidecar(symbol: str, shared: Mapping[str, Any], *, percent_se: bool = False) -> dict[str, Any]:
+def map_sidecar(measure: Measure, shared: Mapping[str, Any], *, percent_se: bool = False) -> dict[str, Any]:
     """JSON of a parametric map, or of the map of its standard error in percent."""
-    measure = measure_name(symbol)
-    what = _DESCRIPTIONS.get(measure, measure)
-    return {
-        "Description": f"Standard error of {measure} in percent of its value" if percent_se else f"{measure}: {what}",
-        "Units": "percent" if percent_se else MEASURE_UNITS.get(measure, "unitless"),
-        **shared,
-    }
+    error = {"Description": f"Standard error of {measure.name} in percent of its value", "Units": "percent"}
+    return {**(error if percent_se else measure.fields), **shared}
 
 
 def status_sidecar(meanings: Mapping[int, str], shared: Mapping[str, Any]) -> dict[str, Any]:
@@ -113,11 +101,13 @@ def status_sidecar(meanings: Mapping[int, str], shared: Mapping[str, Any]) -> di
     }
 
 
-def kinpar_sidecar(symbols: Sequence[str], meanings: Mapping[int, str], shared: Mapping[str, Any]) -> dict[str, Any]:
+def kinpar_sidecar(
+    measures: Sequence[Measure], meanings: Mapping[int, str], shared: Mapping[str, Any]
+) -> dict[str, Any]:
     """JSON of a regional parameter table: one entry a column, then what the fit was.
 
     Args:
-        symbols: parameters of the table, e.g. K1, k2, vB, VT.
+        measures: parameters of the table, e.g. K1, k2, vB, VT.
         meanings: status codes and what they mean.
         shared: fields of `provenance`.
     """
@@ -125,10 +115,9 @@ def kinpar_sidecar(symbols: Sequence[str], meanings: Mapping[int, str], shared: 
         "index": {"Description": "label of the region in its segmentation, or its place in the table of curves"},
         "name": {"Description": "name of the region"},
     }
-    for measure in map(measure_name, symbols):
-        unit = MEASURE_UNITS.get(measure, "unitless")
-        columns[measure] = {"Description": _DESCRIPTIONS.get(measure, measure), "Units": unit}
-        columns[f"{measure}-se"] = {"Description": f"standard error of {measure}", "Units": "percent"}
+    for measure in measures:
+        columns[measure.name] = measure.fields
+        columns[f"{measure.name}-se"] = {"Description": f"standard error of {measure.name}", "Units": "percent"}
     columns["chi2"] = {"Description": "weighted residual sum of squares over its degrees of freedom"}
     columns["aicc"] = {"Description": "Akaike criterion for small samples"}
     levels = {str(code): meaning for code, meaning in meanings.items()}

@@ -49,6 +49,7 @@ class CompartmentModel:
 
     Args:
         label: BEP023 model label.
+        name: what it is called in full.
         equation: the differential equation as text.
         reference: where it comes from.
         parameters: rate constants in order, then vB.
@@ -62,6 +63,7 @@ class CompartmentModel:
     """
 
     label: str
+    name: str
     equation: str
     reference: str
     parameters: ParameterSet
@@ -72,6 +74,11 @@ class CompartmentModel:
     invert: Callable[..., tuple[Any, ...]]
     field: Callable[[Tensor, Tensor, Tensor], Tensor]
     macros: tuple[Macro, ...]
+
+    @property
+    def quantities(self) -> tuple[Parameter | Macro, ...]:
+        """All that a fit reports: parameters, then macro-parameters, each with symbol, unit and meaning."""
+        return (*self.parameters, *self.macros)
 
     @property
     def system(self) -> System:

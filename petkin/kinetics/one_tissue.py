@@ -23,6 +23,7 @@ def _field(state: torch.Tensor, plasma: torch.Tensor, rates: torch.Tensor) -> to
 
 ONE_TISSUE = CompartmentModel(
     label="1TCM",
+    name="one-tissue compartment model",
     equation="dC_T/dt = K1 C_P - k2 C_T",
     reference="Kety SS. Pharmacol Rev 1951;3:1-41; Gunn et al. 2001, doi:10.1097/00004647-200106000-00002",
     parameters=ParameterSet(

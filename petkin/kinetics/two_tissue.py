@@ -73,6 +73,7 @@ def _field_trapping(state: torch.Tensor, plasma: torch.Tensor, rates: torch.Tens
 
 TWO_TISSUE = CompartmentModel(
     label="2TCM",
+    name="two-tissue compartment model",
     equation="dC_1/dt = K1 C_P - (k2 + k3) C_1 + k4 C_2;  dC_2/dt = k3 C_1 - k4 C_2;  C_T = C_1 + C_2",
     reference=_REFERENCE,
     parameters=ParameterSet((_K1, _k2, _k3, _k4, BLOOD_VOLUME)),
@@ -92,6 +93,7 @@ TWO_TISSUE = CompartmentModel(
 
 TWO_TISSUE_TRAPPING = CompartmentModel(
     label="2TCM3k",
+    name="irreversible two-tissue compartment model, k4 = 0",
     equation="dC_1/dt = K1 C_P - (k2 + k3) C_1;  dC_2/dt = k3 C_1;  C_T = C_1 + C_2",
     reference="Phelps ME et al. Ann Neurol 1979;6:371-388, doi:10.1002/ana.410060502",
     parameters=ParameterSet((_K1, _k2, _k3, BLOOD_VOLUME)),

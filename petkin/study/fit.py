@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from petkin.fitting import FitResult, Status, find_method
+from petkin.fitting import FitResult, Need, Status
 from petkin.io import AtomicFolder, write_bytes
 from petkin.io.names import report_path
+from petkin.methods import find_method
 from petkin.reporting import render_fit_report
 from petkin.study.arterial import arterial_input
 from petkin.study.fit_report import build_report
@@ -77,7 +78,8 @@ def fit_study(request: FitRequest, progress: Progress = _silent) -> tuple[Fitted
     progress("reading", 0.0)
     name, out, sources = read_sources(request)
     require_own_folder(out)
-    arterial = [arterial_input(source, request) for source in sources]
+    needed = request.needs(Need.INPUT)
+    arterial = [arterial_input(source, request) if needed else None for source in sources]
     fitted = []
     for i, source in enumerate(sources):
 

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.fitting import FitResult, Status, find_method
+from petkin.fitting import FitResult, Status
+from petkin.inputs import InputFunction
+from petkin.methods import find_method
 from petkin.reporting import (
     FitReport,
     InputCurves,
@@ -30,15 +32,6 @@ _OBSERVED = {
     "plain": "Frame values are time averages of the model over each frame.",
     "mid": "Frame values are the model at mid-frame, to compare with other programs; frame means are more accurate.",
 }
-_SEARCHED = (
-    "Weighted least squares of frame values. Every curve is searched over all pairs of rates within their interval and "
-    "polished by variable projection (Golub GH, Pereyra V. SIAM J Numer Anal 1973;10:413-432, doi:10.1137/0710036). "
-    "Standard errors: Gauss-Newton covariance scaled by WRSS / (n - p), delta method for macro-parameters; a parameter "
-    "on a bound counts as known."
-)
-_PLOTTED = (
-    "Weighted linear regression over the frames whose middle comes at or after t*; standard errors are the line's."
-)
 
 
 def build_report(fit: ScanFit, request: FitRequest, truth: tuple[TruthRow, ...] = ()) -> FitReport:
@@ -61,7 +54,7 @@ def build_report(fit: ScanFit, request: FitRequest, truth: tuple[TruthRow, ...] 
         title=f"{fit.source.label}: {' and '.join(s.model for s in sections)}",
         models=sections,
         regions=regions,
-        input=_input(fit, until),
+        input=None if fit.arterial is None else _input(fit.arterial, until),
         scan=fit.source.facts,
         command_line=request.command_line,
         version=f"petkin {__version__}",
@@ -74,6 +67,8 @@ def build_report(fit: ScanFit, request: FitRequest, truth: tuple[TruthRow, ...] 
 
 def _chosen(fit: ScanFit, request: FitRequest) -> list[str]:
     """Where the delay and the voxels come from."""
+    if fit.arterial is None:
+        return [fit.voxels.how] if fit.voxels is not None else []
     if not isinstance(request.delay, str):
         delay = f"Delay of the input: {60 * request.delay:g} s, as asked."
     elif fit.delay is None or fit.delay.at_end:
@@ -83,11 +78,10 @@ def _chosen(fit: ScanFit, request: FitRequest) -> list[str]:
     return [delay, *([fit.voxels.how] if fit.voxels is not None else [])]
 
 
-def _input(fit: ScanFit, until: float) -> InputCurves:
+def _input(arterial: InputFunction, until: float) -> InputCurves:
     import torch
 
     times = torch.tensor(curve_times(until))
-    arterial = fit.arterial
     return InputCurves.from_input(
         arterial,
         until,
@@ -111,7 +105,7 @@ def _section(
         maps=None if voxel is None else _maps(voxel, fit),
         truth=_compared(truth, regional, fit),
         equations=(method.equation,),
-        methods=(_SEARCHED if method.comparable else _PLOTTED, *([shift] if shift else [])),
+        methods=(method.how, *([shift] if shift else [])),
         citations=(method.reference,),
         comparable=method.comparable,
     )

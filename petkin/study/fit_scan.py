@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.fitting import Delay, FitResult, Method, undetermined, with_delay
+from petkin.fitting import Delay, FitResult, Given, undetermined
 from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction
 from petkin.io import RegionalCurves, Remark, against_tissue, read_regions
 from petkin.io.remarks import severe, warning
+from petkin.methods import Method
 from petkin.study.mid_frame import mid_frame_shift
 from petkin.study.request import FitRequest
 from petkin.study.series import VoxelCurves, choose_mask, extract
@@ -31,7 +32,7 @@ class ScanFit:
 
     Args:
         source: the scan.
-        arterial: input function as sampled.
+        arterial: input function as sampled, or None where no model needs one.
         delay: what was estimated, or None.
         applied: delay that the fits used, min, and its standard error.
         weights: frame weights (K,).
@@ -45,7 +46,7 @@ class ScanFit:
     """
 
     source: Source
-    arterial: InputFunction
+    arterial: InputFunction | None
     delay: Delay | None
     applied: tuple[float, float]
     weights: NDArray[np.float64]
@@ -58,12 +59,12 @@ class ScanFit:
     remarks: tuple[Remark, ...]
 
 
-def fit_scan(source: Source, arterial: InputFunction, request: FitRequest, progress: Progress) -> ScanFit:
+def fit_scan(source: Source, arterial: InputFunction | None, request: FitRequest, progress: Progress) -> ScanFit:
     """Fit one scan as asked.
 
     Args:
         source: the scan.
-        arterial: its input function as sampled.
+        arterial: its input function as sampled, or None where no model needs one.
         request: what was asked.
         progress: told what is being done.
 
@@ -82,21 +83,22 @@ def fit_scan(source: Source, arterial: InputFunction, request: FitRequest, progr
     weights, how = frame_weights(whole, source, request)
     progress("delay", 0.3)
     delay, applied, doubt = shared_delay(whole, arterial, observation, weights, request)
-    arrived = arterial.delayed(applied[0])
+    arrived = None if arterial is None else arterial.delayed(applied[0])
+    given = Given(observation, weights, arrived)
     regional: list[FitResult] = []
     by_voxel: list[FitResult] = []
     shifts: list[str] = []
     for i, method in enumerate(methods):
         progress(f"{method.label} by region" if curves is not None else method.label, 0.4 + 0.5 * i / len(methods))
         if curves is not None:
-            result = method.fit(curves.values, arrived, observation, weights, request.choices, False)
-            regional.append(replace(with_delay(result, *applied), remarks=undetermined(result)))
+            result = method.fit(curves.values, given, request.choices, False)
+            regional.append(_completed(result, applied))
             compared = request.observation == "frame" and method.comparable
-            shifts.append(mid_frame_shift(result, method, curves, arrived, request.choices) if compared else "")
+            shifts.append(mid_frame_shift(result, method, curves, given, request.choices) if compared else "")
         if voxels is not None:
             progress(f"{method.label} by voxel", 0.4 + 0.5 * (i + 0.3) / len(methods))
-            result = method.fit(voxels.values.T, arrived, observation, weights, request.choices, True)
-            by_voxel.append(replace(with_delay(result, *applied), remarks=undetermined(result)))
+            result = method.fit(voxels.values.T, given, request.choices, True)
+            by_voxel.append(_completed(result, applied))
     remarks = (
         *source.remarks,
         *([warning("delay-unknown", source.label, doubt)] if doubt else []),
@@ -116,6 +118,12 @@ def fit_scan(source: Source, arterial: InputFunction, request: FitRequest, progr
         tuple(shifts),
         remarks,
     )
+
+
+def _completed(result: FitResult, applied: tuple[float, float]) -> FitResult:
+    """With the delay that its input was given, and what the curves do not tell."""
+    remarks = (*result.remarks, *undetermined(result))
+    return replace(result, delay=applied[0], delay_se=applied[1], remarks=remarks)
 
 
 def _curves(source: Source, request: FitRequest) -> tuple[VoxelCurves | None, RegionalCurves | None]:

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from petkin.fitting import Choices, FitResult, Method
+from petkin.fitting import Choices, FitResult, Given
 from petkin.imaging import FrameObservation
-from petkin.inputs import InputFunction
 from petkin.io import RegionalCurves
+from petkin.methods import Method
 
 
-def mid_frame_shift(
-    averaged: FitResult, method: Method, curves: RegionalCurves, arterial: InputFunction, choices: Choices
-) -> str:
+def mid_frame_shift(averaged: FitResult, method: Method, curves: RegionalCurves, given: Given, choices: Choices) -> str:
     """One sentence: median change, over regions, of every quantity from frame averages to mid-frame values.
 
     Args:
         averaged: the fit of frame averages.
         method: its method.
         curves: what was fitted.
-        arterial: input function with its delay.
+        given: what the scan gave it.
         choices: the same as for the fit.
     """
-    observation = FrameObservation(curves.frames, mid_frame=True)
-    weights = np.asarray(averaged.weights, np.float64)
-    read = method.fit(curves.values, arterial, observation, weights, choices, False)
+    at_middle = replace(given, observation=FrameObservation(curves.frames, mid_frame=True))
+    read = method.fit(curves.values, at_middle, choices, False)
     with np.errstate(all="ignore"):
         moved = {e.symbol: 100.0 * (read[e.symbol] / e.value - 1.0) for e in averaged.estimates}
     parts = [f"{s} {np.median(m[np.isfinite(m)]):+.2g} %" for s, m in moved.items() if np.isfinite(m).any()]

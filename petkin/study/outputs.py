@@ -36,13 +36,14 @@ _MEANINGS = {int(status): status.meaning for status in Status}
 def write_scan(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> None:
     """Write tables, maps and their sidecars of one scan into the staging folder."""
     scan = fit.source.entities
-    arrived = fit.arterial.delayed(fit.applied[0])
-    _table_with_json(
-        folder,
-        names.inputfunction_path(scan),
-        lambda path: write_input_table(path, sampled_input(arrived, fit.source.frames)),
-        describe.inputfunction_sidecar(_shared("", fit, request)),
-    )
+    if fit.arterial is not None:
+        arrived = fit.arterial.delayed(fit.applied[0])
+        _table_with_json(
+            folder,
+            names.inputfunction_path(scan),
+            lambda path: write_input_table(path, sampled_input(arrived, fit.source.frames)),
+            describe.inputfunction_sidecar(_shared("", fit, request)),
+        )
     if fit.curves is not None:
         path = names.tacs_path(scan, seg=fit.curves.seg, desc=fit.curves.desc)
         write_tacs(folder.path(path), fit.curves, describe.tacs_sidecar(_shared("", fit, request)))
@@ -91,9 +92,12 @@ def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
 def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
     assert fit.curves is not None
     path = names.kinpar_path(fit.source.entities, result.model, seg=fit.curves.seg, desc=fit.curves.desc)
-    symbols = [estimate.symbol for estimate in result.estimates]
-    sidecar = describe.kinpar_sidecar(symbols, _MEANINGS, _shared(result.model, fit, request, result))
+    sidecar = describe.kinpar_sidecar(_columns(result), _MEANINGS, _shared(result.model, fit, request, result))
     _table_with_json(folder, path, lambda p: write_table(p, kinpar_table(fit, result)), sidecar)
+
+
+def _columns(result: FitResult) -> list[describe.Measure]:
+    return [describe.Measure(e.symbol, e.unit, e.meaning) for e in result.estimates]
 
 
 def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
@@ -101,11 +105,10 @@ def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: 
     assert voxels is not None
     scan, affine = fit.source.entities, voxels.series.affine
     shared = _shared(result.model, fit, request, result)
-    for estimate in result.estimates:
-        measure = describe.measure_name(estimate.symbol)
+    for column, estimate in zip(_columns(result), result.estimates):
         for values, desc in ((estimate.value, ""), (estimate.percent_se, "se")):
-            path = folder.path(names.map_path(scan, result.model, measure, desc=desc))
-            sidecar = describe.map_sidecar(estimate.symbol, shared, percent_se=bool(desc))
+            path = folder.path(names.map_path(scan, result.model, column.name, desc=desc))
+            sidecar = describe.map_sidecar(column, shared, percent_se=bool(desc))
             write_map(path, voxels.volume(values.astype(np.float32), np.nan), affine, sidecar)
     chi2 = {
         "Description": "Weighted residual sum of squares over its degrees of freedom",
@@ -145,10 +148,11 @@ def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | N
     }
     if result is not None:
         fixed: dict[str, float] = result.settings.get("fixed", {})
+        units = {estimate.symbol: estimate.unit for estimate in result.estimates}
         extra |= {
             "InputValuesLabels": [describe.measure_name(s) for s in fixed],
             "InputValues": list(fixed.values()),
-            "InputValuesUnits": [describe.MEASURE_UNITS.get(describe.measure_name(s), "unitless") for s in fixed],
+            "InputValuesUnits": [describe.file_unit(units.get(s, "")) for s in fixed],
             "Settings": {k: v for k, v in result.settings.items() if k != "fixed"},
             "Weights": fit.how_weighted,
         }

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from petkin.errors import InputError
-from petkin.fitting import Choices, Method, check_choices, find_method
+from petkin.fitting import Choices, Need
 from petkin.inputs import PARENT_FRACTION_MODELS
+from petkin.methods import Method, check_choices, find_method
 
 LEVELS = ("both", "region", "voxel")
 OBSERVATIONS = ("frame", "plain", "mid")
@@ -82,6 +83,10 @@ class FitRequest:
         """What the models' labels stand for."""
         return tuple(find_method(label) for label in self.models)
 
+    def needs(self, need: Need) -> bool:
+        """Whether one of the models cannot do without it."""
+        return any(need in method.needs for method in self.methods)
+
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
@@ -101,7 +106,7 @@ def _check_numbers(request: FitRequest) -> None:
         raise InputError(f"{twice[0]} is given to --fix and to --bounds; hold it or bound it.")
     if request.choices.bounds.get("vB", (0.0, 1.0))[1] > 1.0:
         raise InputError(f"Bounds of vB reach {request.choices.bounds['vB'][1]:g}; a fraction of volume is at most 1.")
-    if not 0 <= t_star < math.inf:
+    if t_star is not None and not 0 <= t_star < math.inf:
         raise InputError(f"--t-star is {t_star:g}; give minutes from injection, 0 or more.")
     if dispersion is not None and not 0 <= dispersion < math.inf:
         raise InputError(f"--dispersion is {dispersion:g}; give a time constant in seconds, 0 or more.")

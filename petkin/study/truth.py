@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from petkin.io import read_table
-from petkin.io.descriptions import MEASURE_UNITS
+from petkin.io.descriptions import measure_name
 from petkin.io.names import kinpar_path
-from petkin.kinetics import MODELS
+from petkin.kinetics import MODELS, CompartmentModel
 from petkin.reporting import TruthRow
 from petkin.study.simulation.truth import SEGMENTATION, TRUTH, TRUTH_FOLDER
 from petkin.study.sources import Source
@@ -20,15 +20,15 @@ def known_truth(study: Path, source: Source) -> tuple[TruthRow, ...]:
     for model in MODELS:
         path = study / TRUTH_FOLDER / kinpar_path(source.entities, model.label, seg=SEGMENTATION, desc=TRUTH)
         if path.is_file():
-            return _rows(path)
+            return _rows(path, model)
     return ()
 
 
-def _rows(path: Path) -> tuple[TruthRow, ...]:
+def _rows(path: Path, model: CompartmentModel) -> tuple[TruthRow, ...]:
     table = read_table(path)
     rows = []
-    for measure in (column for column in table.columns if column not in ("index", "name")):
-        symbol, unit = ("vB" if measure == "VB" else str(measure)), MEASURE_UNITS.get(str(measure), "1")
-        for name, value in zip(table["name"], table[measure].to_numpy(np.float64)):
-            rows.append(TruthRow(str(name), symbol, unit, float(value), float("nan")))
+    for quantity in (q for q in model.quantities if measure_name(q.symbol) in table):
+        values = table[measure_name(quantity.symbol)].to_numpy(np.float64)
+        for name, value in zip(table["name"], values):
+            rows.append(TruthRow(str(name), quantity.symbol, quantity.unit, float(value), float("nan")))
     return tuple(rows)

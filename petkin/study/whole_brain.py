@@ -67,7 +67,7 @@ def frame_weights(whole: NDArray[np.float64], source: Source, request: FitReques
 
 def shared_delay(
     whole: NDArray[np.float64],
-    arterial: InputFunction,
+    arterial: InputFunction | None,
     observation: FrameObservation,
     weights: NDArray[np.float64],
     request: FitRequest,
@@ -77,6 +77,8 @@ def shared_delay(
     Raises:
         InputError: too few frames to estimate it.
     """
+    if arterial is None:
+        return None, (0.0, float("nan")), ""
     if not isinstance(request.delay, str):
         return None, (float(request.delay), float("nan")), ""
     counted = int(np.count_nonzero(weights))

@@ -77,13 +77,14 @@ def test_sidecars_state_unit_model_and_software() -> None:
     shared = descriptions.provenance(
         "2TCM", sources=["bids::a"], version="1.0", command="petkin fit", extra={"Weights": "x"}
     )
-    sidecar = descriptions.map_sidecar("K1", shared)
+    K1, vB = descriptions.Measure("K1", "mL cm^-3 min^-1", "transfer"), descriptions.Measure("vB", "1")
+    sidecar = descriptions.map_sidecar(K1, shared)
     assert list(sidecar) == [
         "Description", "Units", "ModelName", "Sources", "Weights", "SoftwareName", "SoftwareVersion", "CommandLine",
     ]  # fmt: skip
     assert sidecar["Units"] == "mL cm-3 min-1"
-    assert descriptions.map_sidecar("K1", shared, percent_se=True)["Units"] == "percent"
-    kinpar = descriptions.kinpar_sidecar(["K1", "vB"], {0: "fitted"}, shared)
+    assert descriptions.map_sidecar(K1, shared, percent_se=True)["Units"] == "percent"
+    kinpar = descriptions.kinpar_sidecar([K1, vB], {0: "fitted"}, shared)
     assert {"K1", "K1-se", "VB", "VB-se", "chi2", "aicc", "status"} <= set(kinpar)
     assert kinpar["status"]["Levels"] == {"0": "fitted"}
     assert descriptions.status_sidecar({3: "no signal"}, shared)["Levels"] == {"3": "no signal"}

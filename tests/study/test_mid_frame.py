@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import torch
 
-from petkin.fitting import Choices, find_method
+from petkin.fitting import Choices, Given
 from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import analytic_input, feng_plasma
 from petkin.io import RegionalCurves
 from petkin.kinetics import compartment_model
+from petkin.methods import find_method
 from petkin.study.mid_frame import mid_frame_shift
 
 
@@ -23,11 +25,12 @@ def test_mid_frame_values_move_the_estimates_and_the_sentence_says_by_how_much()
     values = model.frame_values(truth, arterial, FrameObservation(frames)).numpy()
     curves = RegionalCurves(("a", "b"), values, frames)
     method, weights = find_method("1TCM"), np.ones(len(frames))
-    averaged = method.fit(values, arterial, FrameObservation(frames), weights, Choices(), False)
-    sentence = mid_frame_shift(averaged, method, curves, arterial, Choices())
+    given = Given(FrameObservation(frames), weights, arterial)
+    averaged = method.fit(values, given, Choices(), False)
+    sentence = mid_frame_shift(averaged, method, curves, given, Choices())
     moved = {s: float(v) for s, v in re.findall(r"(\w+) ([+-][\d.e-]+) %", sentence)}
     assert set(moved) == {"K1", "k2", "vB", "VT"}
-    read = method.fit(values, arterial, FrameObservation(frames, mid_frame=True), weights, Choices(), False)
+    read = method.fit(values, replace(given, observation=FrameObservation(frames, mid_frame=True)), Choices(), False)
     expected = 100.0 * np.median(read["K1"] / truth[:, 0].numpy() - 1.0)
     assert abs(expected) > 0.05
     np.testing.assert_allclose(moved["K1"], expected, rtol=0.1)

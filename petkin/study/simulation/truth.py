@@ -15,7 +15,7 @@ from petkin import __version__
 from petkin.effects import ForwardModel
 from petkin.imaging import in_seconds
 from petkin.io import AtomicFolder, json_text, write_map, write_table, write_text
-from petkin.io.descriptions import BIDS_VERSION, MEASURE_UNITS, measure_name
+from petkin.io.descriptions import BIDS_VERSION, file_unit, measure_name
 from petkin.io.names import dseg_path, kinpar_path, map_path, report_path, sidecar_path, tacs_path
 from petkin.kinetics import compartment_model
 from petkin.study.simulation.planning import Plan
@@ -60,13 +60,18 @@ def write_truth(folder: AtomicFolder, scan: dict[str, str], plan: Plan, scene: S
     write_table(_place(folder, dseg_path(scan, seg=SEGMENTATION).with_suffix("").with_suffix(".tsv")), names)
     for symbol, values in (quantities(scene.voxels) if scene.voxels else regional).items():
         measure = measure_name(symbol)
-        fields = {"Description": f"True {measure}", "Units": MEASURE_UNITS.get(measure, "unitless"), "ModelName": model}
+        fields = {"Description": f"True {measure}", "Units": _units(model)[measure], "ModelName": model}
         path = _place(folder, map_path(scan, model, measure, desc=TRUTH))
         write_map(path, _map(plan, values).astype(np.float32), plan.painted.affine, fields)
     _write_kinpar(folder, scan, names, regional, model)
     write_text(_place(folder, report_path(scan, desc=TRUTH, extension=".json")), json_text(_record(plan, scene)))
     if plan.settings.truth_tacs:
         _write_curves(folder, scan, plan, scene)
+
+
+def _units(model: str) -> dict[str, str]:
+    """Units of a model's quantities as files spell both."""
+    return {measure_name(q.symbol): file_unit(q.unit) for q in compartment_model(model).quantities}
 
 
 def _map(plan: Plan, values: Float[NDArray, " curves"]) -> Float[NDArray, "x y z"]:
@@ -83,7 +88,7 @@ def _write_kinpar(
     path = kinpar_path(scan, model, seg=SEGMENTATION, desc=TRUTH)
     columns = {measure_name(symbol): column for symbol, column in values.items()}
     write_table(_place(folder, path), names.assign(**columns))
-    units = {measure: {"Units": MEASURE_UNITS.get(measure, "unitless")} for measure in columns}
+    units = {measure: {"Units": _units(model)[measure]} for measure in columns}
     text = json_text({"Description": "True kinetic parameters by region", "ModelName": model, **units})
     write_text(_place(folder, sidecar_path(path)), text)
 

@@ -1,0 +1,27 @@
+"""What a user may choose of a fit, whatever the method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from petkin.fitting.nonlinear import FASTEST_RATE, SLOWEST_RATE
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a user may choose; a method takes what concerns it.
+
+    Args:
+        bounds: lowest and highest value by symbol.
+        fixed: values held, by symbol.
+        rate_bounds: interval of the exponentials' rates, 1/min.
+        t_star: start of the linear part of a graphical method, min; None lets the curves tell.
+        share: symbols that all regions of a scan have in common.
+    """
+
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    rate_bounds: tuple[float, float] = (SLOWEST_RATE, FASTEST_RATE)
+    t_star: float | None = 30.0
+    share: tuple[str, ...] = ()

@@ -1,0 +1,30 @@
+"""Methods: one file a way of fitting; `METHODS` is the list of all that petkin offers."""
+
+from petkin.errors import InputError
+from petkin.kinetics import MODELS
+from petkin.methods.checks import check_choices
+from petkin.methods.compartments import compartments
+from petkin.methods.logan import LOGAN
+from petkin.methods.method import Method
+from petkin.methods.patlak import PATLAK
+
+METHODS = (
+    *map(compartments, MODELS),
+    PATLAK,
+    LOGAN,
+)
+
+
+def find_method(label: str) -> Method:
+    """The method with this label.
+
+    Raises:
+        InputError: there is none.
+    """
+    for method in METHODS:
+        if method.label.lower() == label.lower():
+            return method
+    raise InputError(f"There is no model {label!r}; choose from {', '.join(m.label for m in METHODS)}.")
+
+
+__all__ = ["METHODS", "Method", "check_choices", "find_method"]

@@ -1,0 +1,31 @@
+"""Choices checked against the methods they are meant for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petkin.errors import InputError
+from petkin.fitting import Choices
+from petkin.methods.method import Method
+
+
+def check_choices(methods: tuple[Method, ...], choices: Choices) -> None:
+    """Refuse bounds or fixed values that no chosen method has, and bounds that are upside down.
+
+    Raises:
+        InputError: with the symbol and what there is instead.
+    """
+    known = dict.fromkeys(symbol for method in methods for symbol in method.symbols)
+    for symbol in (*choices.bounds, *choices.fixed):
+        if symbol not in known:
+            labels = ", ".join(method.label for method in methods)
+            raise InputError(f"{symbol!r} is no parameter of {labels}; these have {', '.join(known)}.")
+    for symbol, (low, high) in choices.bounds.items():
+        if not 0 <= low < high:
+            raise InputError(f"Bounds of {symbol} are {low:g} to {high:g}; the lower must be >= 0 and below the upper.")
+    for symbol, value in choices.fixed.items():
+        if not (np.isfinite(value) and value >= 0 and (symbol != "vB" or value < 1)):
+            raise InputError(f"{symbol} cannot be fixed at {value:g}; give a value >= 0 (below 1 for vB).")
+    slow, fast = choices.rate_bounds
+    if not 0 <= slow < fast:
+        raise InputError(f"Rates from {slow:g} to {fast:g} per min are no interval; give e.g. 0.001:5.")

@@ -1,10 +1,12 @@
-"""Imaging: frames, decay, point spread, counting noise."""
+"""Imaging: frames, decay, point spread and its correction, counting noise, denoising."""
 
 from petkin.imaging.decay import NUCLIDES, Nuclide, decay_constant, half_life, nuclide
 from petkin.imaging.frames import FrameObservation, FrameSchedule
+from petkin.imaging.hypr import composite_image, hypr_lr
 from petkin.imaging.noise import CountingNoise, reference_frame
 from petkin.imaging.point_spread import FWHM_PER_SIGMA, blur, gaussian_kernel
 from petkin.imaging.schedules import SCHEDULES, frame_schedule, in_seconds, parse_schedule
+from petkin.imaging.transfer_matrix import TransferMatrix, background_rim, transfer_matrix
 
 __all__ = [
     "FWHM_PER_SIGMA",
@@ -14,13 +16,18 @@ __all__ = [
     "FrameObservation",
     "FrameSchedule",
     "Nuclide",
+    "TransferMatrix",
+    "background_rim",
     "blur",
+    "composite_image",
     "decay_constant",
     "frame_schedule",
     "gaussian_kernel",
     "half_life",
+    "hypr_lr",
     "in_seconds",
     "nuclide",
     "parse_schedule",
     "reference_frame",
+    "transfer_matrix",
 ]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from petkin.fitting import lanes
 from petkin.fitting.lanes import LANES, OWN, REGISTER, ROWS
-from petkin.fitting.look_up import GROUP, PAIR, SINGLE, look_up
+from petkin.fitting.look_up import GROUP, look_up
 
 #: Curves worked through at a time, a multiple of GROUP: what is kept of them fits the second-level cache.
 BLOCK = 128
@@ -88,7 +88,7 @@ class Scratch(NamedTuple):
 
 
 def search(
-    z: NDArray[np.float64], sizes: NDArray[np.float64], tables: Tables, kind: int, tolerance: float, again: float
+    z: NDArray[np.float64], sizes: NDArray[np.float64], tables: Tables, tolerance: float, again: float
 ) -> NDArray[np.float64]:
     """Fit every column of z, on this thread and without the interpreter's lock.
 
@@ -96,7 +96,6 @@ def search(
         z: compressed curves (R, N), C order.
         sizes: |z|^2 of every curve (N,).
         tables: see `Tables`.
-        kind: SINGLE, PAIR or TRAPPED.
         tolerance: a polish ends when its expected relative gain falls below this.
         again: second start where (r . b)^2 exceeds this share of the cost; infinity for none.
 
@@ -118,38 +117,37 @@ def search(
         found=np.empty((BLOCK, 7)),
     )
     answer = np.empty((7, z.shape[1]))
-    _search(z, sizes, tables, scratch, kind, tolerance, again, answer)
+    _search(z, sizes, tables, scratch, tolerance, again, answer)
     return answer
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _search(z, sizes, tables, scratch, kind, tolerance, again, answer):
+def _search(z, sizes, tables, scratch, tolerance, again, answer):
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
     blood, low, spacing, rows, gram, own, coarse, atoms, lead, near, toward, lean, lengths = tables
     seen, scaled, projections, scores, chosen, work, curve, plan, along, found = scratch
-    second, free = (0.0 if kind == SINGLE else 1.0), (1.0 if kind == PAIR else 0.0)
     last, reach = float(own.shape[0]), _REACH / spacing
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
         _see(z, start, size, rows, seen)
         for first in range(0, size, GROUP):
             _scale(z, sizes, start + first, min(GROUP, size - first), scaled)
-            look_up(scaled, atoms, lead, near, kind, blood > 0.0, projections, scores, chosen[first : first + GROUP])
+            look_up(scaled, atoms, lead, near, blood > 0.0, projections, scores, chosen[first : first + GROUP])
         plan[:] = 0.0
         used = fed = 0
         while True:
             while used < LANES and fed < size:
                 faster, slower = divmod(chosen[fed], len(coarse))
                 curve[used] = fed
-                _enter(work, used, coarse[faster], coarse[slower] if kind == PAIR else 0.0)
+                _enter(work, used, coarse[faster], coarse[slower])
                 work[lanes.SIZE * LANES + used] = sizes[start + fed]
                 work[lanes.BLOOD_SEEN * LANES + used] = blood * z[0, start + fed]
                 used, fed = used + 1, fed + 1
             if used == 0:
                 break
-            _gather(work, used, curve, gram, own, seen, kind)
+            _gather(work, used, curve, gram, own, seen)
             registers = (used + REGISTER - 1) // REGISTER
-            lanes.evaluate(work, registers, blood, second, free)
+            lanes.evaluate(work, registers, blood)
             lanes.propose(work, registers, last, reach, tolerance)
             n = 0
             while n < used:
@@ -164,7 +162,6 @@ def _search(z, sizes, tables, scratch, kind, tolerance, again, answer):
                     v,
                     seen,
                     blood,
-                    kind,
                     own.shape[0],
                     coarse,
                     toward,
@@ -240,7 +237,7 @@ def _enter(work, n, x, y):
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(work, count, curve, gram, own, seen, kind):
+def _gather(work, count, curve, gram, own, seen):
     """What the formulas need at every lane's trial. Unsigned indices are known not to count from the end."""
     last = np.uint64(own.shape[0] - 1)
     two = np.uint64(2)
@@ -253,8 +250,6 @@ def _gather(work, count, curve, gram, own, seen, kind):
             work[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
         for k in range(4):
             work[(lanes.SEEN_1 + k) * LANES + n] = seen[v, two * i + np.uint64(k)]
-        if kind == SINGLE:
-            continue
         y = work[lanes.TRIAL_2 * LANES + n]
         j = min(np.uint64(y), last)
         work[lanes.FRACTION_2 * LANES + n] = y - j
@@ -278,7 +273,7 @@ def _settle(work, n, out, v, first):
 
 
 @njit(cache=True, error_model="numpy")
-def _again(out, plan, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, along, tolerance, again):
+def _again(out, plan, v, seen, blood, intervals, coarse, toward, lean, lengths, along, tolerance, again):
     """Positions of the curve's next polish, or -1 where it is finished."""
     if plan[v, _STAGE] == 1.0 and out[v, X2] > 0.0:
         plan[v, _STAGE] = 2.0
@@ -287,27 +282,24 @@ def _again(out, plan, v, seen, blood, kind, intervals, coarse, toward, lean, len
         return -1.0, 0.0
     if plan[v, _ROUNDS] == _MOST_ROUNDS:
         return -1.0, 0.0
-    gain, node = _point(out, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, along)
+    gain, node = _point(out, v, seen, blood, intervals, coarse, toward, lean, lengths, along)
     if node < 0 or gain <= again * out[v, COST]:
         return -1.0, 0.0
     third = float(coarse[node])
     plan[v, _ROUNDS] += 1.0
     plan[v, _THIRD], plan[v, _BEFORE] = third, out[v, COST]
-    if kind != PAIR:
-        plan[v, _STAGE] = 2.0
-        return third, 0.0
     plan[v, _STAGE] = 1.0 if out[v, X1] > 0.0 else 2.0
     keep = out[v, U1] if out[v, X1] > 0.0 else out[v, U2]
     return max(keep, third), min(keep, third)
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _point(out, v, seen, blood, kind, intervals, coarse, toward, lean, lengths, along):
+def _point(out, v, seen, blood, intervals, coarse, toward, lean, lengths, along):
     """Largest (r . b / |b|)^2 over coarse nodes with r . b > 0, and its node (-1 if none); r the residual."""
     i, j = min(int(out[v, U1]), intervals - 1), min(int(out[v, U2]), intervals - 1)
     a0, a1, a2, a3 = lanes.value_weights(out[v, U1] - i)
     b0, b1, b2, b3 = lanes.value_weights(out[v, U2] - j)
-    one, two = -out[v, X1], (0.0 if kind == SINGLE else -out[v, X2])
+    one, two = -out[v, X1], -out[v, X2]
     i, j, bled = 2 * i, 2 * j, out[v, X0] * blood
     for c in range(len(coarse)):
         along[c] = seen[v, 2 * coarse[c]] / lengths[c]

@@ -122,7 +122,7 @@ def _two(g, between, other, h, k):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _amplitudes(g00, g01, g02, g11, g12, g22, h0, h1, h2):
+def amplitudes(g00, g01, g02, g11, g12, g22, h0, h1, h2):
     """argmin |.|^2 over x >= 0 of three atoms with Gram g and projections h; an absent atom has g = h = 0.
 
     Returns x0, x1, x2 and the explained sum of squares h.x: the best of all supports whose own optimum is feasible.
@@ -176,14 +176,13 @@ def _inverse(on1, on2, g11, g12, g22):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def evaluate(w, registers, blood, second, free):
+def evaluate(w, registers, blood):
     """Amplitudes and gain at every lane's trial; where they beat the state they become it, with their derivatives.
 
     Args:
         w: scratch, ROWS * LANES.
         registers: lanes in use, in multiples of REGISTER.
         blood: length of the blood atom.
-        second, free: 1.0 where there is a second atom, and where its rate is free, else 0.0.
     """
     g00 = blood * blood
     for n in range(registers * REGISTER):
@@ -199,13 +198,10 @@ def evaluate(w, registers, blood, second, free):
         c12 = v0 * p[0] + v1 * p[1] + v2 * p[2] + v3 * p[3]  # d1 . b2
         c21 = u0 * q[0] + u1 * q[1] + u2 * q[2] + u3 * q[3]  # d2 . b1
         d12 = v0 * q[0] + v1 * q[1] + v2 * q[2] + v3 * q[3]
-        g12, g22, h2 = g12 * second, g22 * second, h2 * second
-        x0, x1, x2, gain = _amplitudes(
-            g00, blood * l1, blood * l2 * second, g11, g12, g22, w[BLOOD_SEEN * LANES + n], h1, h2
-        )
+        x0, x1, x2, gain = amplitudes(g00, blood * l1, blood * l2, g11, g12, g22, w[BLOOD_SEEN * LANES + n], h1, h2)
         on0, on1, on2 = x0 > 0.0, x1 > 0.0, x2 > 0.0
         s1 = x1 * (m1 - x0 * blood * k1 - x1 * c11 - x2 * c12)
-        s2 = x2 * (m2 - x0 * blood * k2 - x1 * c21 - x2 * c22) * free
+        s2 = x2 * (m2 - x0 * blood * k2 - x1 * c21 - x2 * c22)
         # off the blood axis where blood takes part
         l1, l2 = (l1 if on0 else 0.0), (l2 if on0 else 0.0)
         k1, k2 = (k1 if on0 else 0.0), (k2 if on0 else 0.0)
@@ -213,9 +209,9 @@ def evaluate(w, registers, blood, second, free):
         c11, c12, c21, c22 = c11 - k1 * l1, c12 - k1 * l2, c21 - k2 * l1, c22 - k2 * l2
         t1, t2 = c11 * i11 + c12 * i12, c11 * i12 + c12 * i22
         j11 = x1 * x1 * (d11 - k1 * k1 - t1 * c11 - t2 * c12)
-        j12 = x1 * x2 * (d12 - k1 * k2 - t1 * c21 - t2 * c22) * free
+        j12 = x1 * x2 * (d12 - k1 * k2 - t1 * c21 - t2 * c22)
         t1, t2 = c21 * i11 + c22 * i12, c21 * i12 + c22 * i22
-        j22 = x2 * x2 * (d22 - k2 * k2 - t1 * c21 - t2 * c22) * free
+        j22 = x2 * x2 * (d22 - k2 * k2 - t1 * c21 - t2 * c22)
         _take(w, n, x0, x1, x2, gain, s1, s2, j11, j12, j22)
 
 

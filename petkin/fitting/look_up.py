@@ -1,4 +1,4 @@
-"""The exhaustive first look: every coarse node or pair of nodes scored for many curves at once.
+"""The exhaustive first look: every pair of coarse nodes scored for many curves at once.
 
 A pair's amplitudes have a closed form, so a score is some fourteen operations without a branch, and neighbouring curves
 fill a vector register. The winner is only where the polish starts, so they are scored in single precision.
@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-
-#: What the second atom of a curve is: absent, free, or fixed at the table's first node (trapping, a = 0).
-SINGLE, PAIR, TRAPPED = 1, 2, 3
 
 #: Curves scored together.
 GROUP = 64
@@ -22,15 +19,14 @@ _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-6)
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def look_up(z, atoms, lead, gram, kind, has_blood, c, scores, chosen):
-    """Best node or pair of GROUP curves; `chosen` gets first * nodes + second.
+def look_up(z, atoms, lead, gram, has_blood, c, scores, chosen):
+    """Best pair of GROUP curves; `chosen` gets first * nodes + second.
 
     Args:
         z: compressed curves, scaled to unit length (R, GROUP).
         atoms: unit atoms off the blood axis (nodes, R).
         lead: how far they lean on it (nodes,).
         gram: of the atoms (nodes, nodes).
-        kind: SINGLE, PAIR or TRAPPED.
         has_blood: whether blood takes part.
         c, scores: scratch (nodes, GROUP), (GROUP,).
         chosen: the answer (GROUP,), int32.
@@ -50,7 +46,7 @@ def look_up(z, atoms, lead, gram, kind, has_blood, c, scores, chosen):
         li = lead[i]
         gv = _ONE / (_ONE + li * li) if has_blood else _ZERO * li
         # Of pairs with one atom at work, the one whose other atom is the slowest.
-        code = np.int32(i * nodes if kind == SINGLE else max(i, 1) * nodes)
+        code = np.int32(max(i, 1) * nodes)
         for n in range(GROUP):
             y = max(c[i, n], _ZERO)
             v = min(z[0, n] - li * y, _ZERO)
@@ -58,8 +54,7 @@ def look_up(z, atoms, lead, gram, kind, has_blood, c, scores, chosen):
             better = score > scores[n]
             scores[n] = score if better else scores[n]
             chosen[n] = code if better else chosen[n]
-    last = nodes if kind == PAIR else (1 if kind == TRAPPED else 0)
-    for j in range(last):  # the slower atom; node 0 is the slowest
+    for j in range(nodes):  # the slower atom; node 0 is the slowest
         for i in range(j + 1, nodes):
             _score_pair(i, j, z, lead, gram, has_blood, c, scores, chosen)
 

@@ -12,6 +12,7 @@ from petkin.errors import InputError
 from petkin.fitting.bounded import ON_BOUND, fit_in_box
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.kernel import Tables
+from petkin.fitting.one_rate import OneRateTables
 from petkin.fitting.parts import in_parts
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Estimate, FitResult
@@ -140,7 +141,7 @@ def _fit_shared(
     """Curves that share their weights: the free optimum of all, bounded fits of those that leave the box, a summary."""
     frames = _readable(curves).T
     best = Optimum.of(len(settings.model.parameters), len(curves))
-    tables = search_tables(packed, settings.effort, blood=_takes_blood(settings.box))
+    tables = search_tables(settings.model, packed, settings.effort, blood=_takes_blood(settings.box))
 
     def fit(rows: slice) -> _Left:
         z, sizes, best.finite[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
@@ -179,7 +180,7 @@ class _Left:
 
 
 def _free_optimum(
-    z: Array, sizes: Array, rows: slice, best: Optimum, tables: Tables, settings: NonlinearSettings
+    z: Array, sizes: Array, rows: slice, best: Optimum, tables: Tables | OneRateTables, settings: NonlinearSettings
 ) -> NDArray[np.bool_]:
     """Fill in the free optimum of some curves; which of them lies outside the box."""
     model, box = settings.model, settings.box

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from petkin.fitting import kernel
 from petkin.fitting.lanes import MAX_STEPS
-from petkin.fitting.look_up import PAIR, SINGLE, TRAPPED
+from petkin.fitting.one_rate import OneRateTables, one_rate_tables, search_one_rate
+from petkin.fitting.scan import SINGLE, TRAPPED
 from petkin.fitting.table import RATE_OFFSET, Compression
 from petkin.kinetics import CompartmentModel
 
@@ -69,27 +70,33 @@ def search_exponentials(
         effort: how hard to search.
         blood: whether blood may take part; without it vB = 0.
     """
-    return search_among(model, search_tables(packed, effort, blood=blood), z, sizes, effort)
+    return search_among(model, search_tables(model, packed, effort, blood=blood), z, sizes, effort)
 
 
 def search_among(
-    model: CompartmentModel, tables: kernel.Tables, z: Array, sizes: Array, effort: Effort
+    model: CompartmentModel, tables: kernel.Tables | OneRateTables, z: Array, sizes: Array, effort: Effort
 ) -> Exponentials:
     """The same with tables made beforehand, for curves that come in parts."""
-    kind = PAIR if model.free_rates == 2 else (TRAPPED if model.trapping else SINGLE)
-    found = kernel.search(
-        np.ascontiguousarray(z), np.ascontiguousarray(sizes), tables, kind, effort.tolerance, effort.again
-    )
+    z, sizes = np.ascontiguousarray(z), np.ascontiguousarray(sizes)
+    if isinstance(tables, OneRateTables):
+        kind = TRAPPED if model.trapping else SINGLE
+        found = search_one_rate(tables, z, sizes, kind, tolerance=effort.tolerance)
+    else:
+        found = kernel.search(z, sizes, tables, effort.tolerance, effort.again)
     vB = np.minimum(found[kernel.X0], 1.0)
     held = np.where(vB < 1.0, 1.0 - vB, np.nan)
-    atoms = 1 if kind == SINGLE else 2
+    atoms = model.free_rates + model.trapping
     phi = found[kernel.X1 : kernel.X1 + atoms] / held
     rate = np.maximum(np.exp(found[kernel.U1 : kernel.U1 + atoms]) - RATE_OFFSET, 0.0)
     return Exponentials(phi.T, rate.T, vB, found[kernel.COST], found[kernel.STEPS] < MAX_STEPS)
 
 
-def search_tables(packed: Compression, effort: Effort, *, blood: bool) -> kernel.Tables:
+def search_tables(
+    model: CompartmentModel, packed: Compression, effort: Effort, *, blood: bool
+) -> kernel.Tables | OneRateTables:
     """What the compiled search reads of a compressed table."""
+    if model.free_rates == 1:
+        return one_rate_tables(packed, axis=blood)
     products = packed.products
     coarse = np.unique(np.linspace(0, len(packed.u) - 1, effort.coarse).round().astype(np.int64))
     lengths = np.linalg.norm(packed.basis[coarse], axis=1)

@@ -1,0 +1,96 @@
+"""The exhaustive first look where one rate is free: what each scanned node explains of many curves at once.
+
+Amplitudes have a closed form at every node, so a score is a dozen operations without a branch, and neighbouring curves
+fill a vector register. The winner is only where the polish starts, so they are scored in single precision.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+#: What the shared columns are: the axis alone; the axis and b(0); the axis alone, with amplitudes of either sign.
+SINGLE, TRAPPED, SIGNED = 1, 2, 3
+
+#: Curves in step.
+BLOCK = 64
+
+#: Sums may be reassociated here, in loops without a remainder; NaN and infinity keep their meaning.
+_FAST = {"reassoc", "contract", "nsz", "arcp"}
+#: Single precision, so that they do not widen arrays of single precision.
+_ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-6)
+
+
+@njit(cache=True, error_model="numpy")
+def scale(z, sizes, start, count, scaled):
+    """Curves of unit length for the scan; room without a curve is zero."""
+    for n in range(count):
+        scale = 1.0 / np.sqrt(max(sizes[start + n], 1e-300))
+        for r in range(z.shape[0]):
+            scaled[r, n] = z[r, start + n] * scale
+    for n in range(count, BLOCK):
+        for r in range(z.shape[0]):
+            scaled[r, n] = _ZERO
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def project(atoms, z, along):
+    """atoms @ z, eight directions at a time."""
+    for i in range(atoms.shape[0]):
+        for n in range(BLOCK):
+            along[i, n] = _ZERO
+        r = 0
+        while r + 8 <= atoms.shape[1]:
+            a0, a1, a2, a3 = atoms[i, r], atoms[i, r + 1], atoms[i, r + 2], atoms[i, r + 3]
+            a4, a5, a6, a7 = atoms[i, r + 4], atoms[i, r + 5], atoms[i, r + 6], atoms[i, r + 7]
+            for n in range(BLOCK):
+                along[i, n] += ((a0 * z[r, n] + a1 * z[r + 1, n]) + (a2 * z[r + 2, n] + a3 * z[r + 3, n])) + (
+                    (a4 * z[r + 4, n] + a5 * z[r + 5, n]) + (a6 * z[r + 6, n] + a7 * z[r + 7, n])
+                )
+            r += 8
+        while r < atoms.shape[1]:
+            for n in range(BLOCK):
+                along[i, n] += atoms[i, r] * z[r, n]
+            r += 1
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def score(z, along, lead, near, kind, has_axis, scores, best):
+    """What every scanned node explains of every curve, and the node that explains most; amplitudes in closed form."""
+    for i in range(along.shape[0]):
+        for n in range(BLOCK):
+            c = along[i, n]
+            scores[i, n] = c * c
+        if kind != SIGNED:
+            li = lead[i]
+            weight = _ONE / (_ONE + li * li)
+            for n in range(BLOCK):
+                c = along[i, n]
+                z0 = z[0, n] if has_axis else _ZERO
+                off = max(c + li * z0, _ZERO)  # without the axis
+                scores[i, n] = z0 * z0 + c * c if (c > _ZERO) & (z0 >= li * c) else off * off * weight
+        if kind == TRAPPED and i > 0:
+            _score_trapped(i, z, along, lead, near, has_axis, scores)
+    for n in range(BLOCK):
+        best[n] = 0
+    for i in range(1, along.shape[0]):
+        for n in range(BLOCK):
+            best[n] = i if scores[i, n] > scores[best[n], n] else best[n]
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _score_trapped(i, z, along, lead, near, has_axis, scores):
+    """The same with what is trapped, where both amplitudes are positive."""
+    li, lj, g = lead[i], lead[0], near[i]
+    inverse = _ONE / max(_ONE - g * g, _TINY)
+    lean_i, lean_j = li * inverse, lj * inverse
+    # 1 / [Gram^-1] of the axis: what a negative amount of it, held at zero, costs
+    weight = _ONE / (_ONE + lean_i * (li - g * lj) + lean_j * (lj - g * li))
+    for n in range(BLOCK):
+        ci, cj = along[i, n], along[0, n]
+        xi, xj = ci - g * cj, cj - g * ci  # amplitudes, times 1 - g^2
+        z0 = z[0, n] if has_axis else _ZERO
+        v = min(z0 - lean_i * xi - lean_j * xj, _ZERO)
+        score = z0 * z0 + (ci * xi + cj * xj) * inverse - v * v * weight
+        better = (score > scores[i, n]) & (xi > _ZERO) & (xj > _ZERO)
+        scores[i, n] = score if better else scores[i, n]

@@ -263,6 +263,7 @@ def _merge(parts: list[tuple[NDArray[np.intp], FitResult]], count: int) -> FitRe
             e.unit,
             scatter(lambda r, i=i: r.estimates[i].value),
             scatter(lambda r, i=i: r.estimates[i].percent_se),
+            e.meaning,
         )
         for i, e in enumerate(first.estimates)
     )
@@ -274,4 +275,7 @@ def _merge(parts: list[tuple[NDArray[np.intp], FitResult]], count: int) -> FitRe
         aicc=scatter(lambda r: r.aicc),
         status=scatter(lambda r: r.status),
         predicted=predicted,
+        columns=tuple(
+            replace(c, values=scatter(lambda r, i=i: r.columns[i].values)) for i, c in enumerate(first.columns)
+        ),
     )

@@ -20,6 +20,7 @@ class Status(IntEnum):
     AT_BOUND = 4
     NOT_IDENTIFIABLE = 5
     NOT_CONVERGED = 6
+    SECOND_MINIMUM = 7
 
     @property
     def meaning(self) -> str:
@@ -36,6 +37,8 @@ _MEANINGS = {
     Status.NOT_IDENTIFIABLE: "fitted, but the data do not determine what the model is used for (VT, Ki, BPND): "
     "its standard error exceeds 100 percent",
     Status.NOT_CONVERGED: "the fit ended before its tolerance was met",
+    Status.SECOND_MINIMUM: "fitted, but another set of parameters fits the curve as well within its noise and gives an "
+    "outcome (VT, Ki, BPND) more than 2 standard errors away",
 }
 
 
@@ -48,6 +51,41 @@ class Estimate:
     value: NDArray[np.floating]
     percent_se: NDArray[np.floating]
     meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """Something else that is known of N curves: a column of a table, or a map.
+
+    Args:
+        name: of the column, and `desc-<name>` of the map.
+        values: (N,); whole numbers where `levels` says what they stand for.
+        meaning: what it is in words.
+        unit: "1" for none.
+        levels: meaning by code, written as words in tables; None for plain numbers.
+        bits: whether codes are powers of two that add up; 0 is then none of them.
+        mapped: whether voxels get a map of it.
+    """
+
+    name: str
+    values: NDArray[Any]
+    meaning: str
+    unit: str = "1"
+    levels: dict[int, str] | None = None
+    bits: bool = False
+    mapped: bool = True
+
+    @property
+    def cells(self) -> NDArray[Any]:
+        """Values as a table shows them: codes in words, missing where there is nothing to say."""
+        if self.levels is None:
+            return self.values
+        return np.array([self._words(int(code)) for code in self.values], dtype=object)
+
+    def _words(self, code: int) -> str | float:
+        levels = self.levels or {}
+        found = [text for bit, text in levels.items() if code & bit] if self.bits else [levels.get(code, "")]
+        return "; ".join(text for text in found if text) or float("nan")
 
 
 @dataclass(frozen=True)
@@ -88,6 +126,7 @@ class FitResult:
         remarks: what the data cannot tell, in words.
         shared: value and percent standard error, by symbol, of what all curves have in common.
         plots: pictures for the report.
+        columns: what else is known of every curve.
     """
 
     model: str
@@ -103,6 +142,7 @@ class FitResult:
     remarks: tuple[str, ...] = ()
     shared: dict[str, tuple[float, float]] = field(default_factory=dict)
     plots: tuple[Plot, ...] = ()
+    columns: tuple[Column, ...] = ()
 
     def __getitem__(self, symbol: str) -> NDArray[np.floating]:
         """Estimates of one quantity over the N curves."""
@@ -114,6 +154,10 @@ class FitResult:
     def percent_se(self, symbol: str) -> NDArray[np.floating]:
         """Percent standard errors of one quantity over the N curves."""
         return next(e.percent_se for e in self.estimates if e.symbol == symbol)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Values of one further column over the N curves."""
+        return next(c.values for c in self.columns if c.name == name)
 
     def count(self, status: Status) -> int:
         """How many curves ended with a status."""

@@ -12,12 +12,14 @@ from petkin.fitting.bounded import ON_BOUND
 from petkin.fitting.covariance import impulse_partials, variances
 from petkin.fitting.dual import partials
 from petkin.fitting.parts import in_parts
-from petkin.fitting.results import Estimate, FitResult, Status
+from petkin.fitting.results import Column, Estimate, FitResult, Status
 from petkin.fitting.table import Compression
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+_REACHED = "bounds that the fit ended on: their parameters have no standard error and count as known for the others"
 
 
 @dataclass(frozen=True)
@@ -71,16 +73,16 @@ class Judge:
         frames, free = int(np.count_nonzero(self.weights > 0)), len(box.free)
         names = [(q.symbol, q.unit, q.meaning) for q in model.quantities]
         values, percent = (np.empty((len(names), len(best.cost))) for _ in range(2))
-        on_bound = np.zeros(len(best.cost), np.bool_)
+        reached = np.zeros(len(best.cost), np.int16)
         chi2 = best.cost / (frames - free)
 
         def look_at(rows: slice) -> None:
-            values[:, rows], percent[:, rows], on_bound[rows] = self._look_at(best.theta[:, rows], chi2[rows])
+            values[:, rows], percent[:, rows], reached[rows] = self._look_at(best.theta[:, rows], chi2[rows])
 
         in_parts(look_at, len(chi2))
-        status = self._status(best, percent, on_bound)
+        status = self._status(best, percent, reached > 0)
         missing = (status == Status.NO_SIGNAL) | (status == Status.NOT_FINITE)
-        values[:, missing], percent[:, missing] = np.nan, np.nan
+        values[:, missing], percent[:, missing], reached[missing] = np.nan, np.nan, 0
         return FitResult(
             model=model.label,
             estimates=tuple(Estimate(s, u, values[i], percent[i], m) for i, (s, u, m) in enumerate(names)),
@@ -94,7 +96,16 @@ class Judge:
                 "fixed": {p.symbol: p.start for p in box if p.fixed},
                 "rate_bounds": list(self.rate_bounds),
             },
+            columns=(Column("bound", reached, _REACHED, levels=self._limits(), bits=True),),
         )
+
+    def _limits(self) -> dict[int, str]:
+        """What every bit of the bounds reached stands for."""
+        slowest, fastest = self.rate_bounds
+        ends = [f"{p.symbol} at {end:g}" for p in self.box for end in (p.lower, p.upper)]
+        ends += [f"slowest rate at {slowest:g} per min", f"fastest rate at {fastest:g} per min"]
+        fixed = [p.fixed for p in self.box for _ in range(2)] + [self.model.trapping, False]
+        return {1 << bit: text for bit, (text, held) in enumerate(zip(ends, fixed)) if not held}
 
     def _status(self, best: Optimum, percent: Array, on_bound: Flags) -> NDArray[np.uint8]:
         status = np.full(len(best.cost), Status.OK, np.uint8)
@@ -107,33 +118,42 @@ class Judge:
         status[~best.finite] = Status.NOT_FINITE
         return status
 
-    def _look_at(self, theta: Array, chi2: Array) -> tuple[Array, Array, Flags]:
-        """Parameters and macro-parameters, their percent errors, and whether a free parameter sits on a bound."""
+    def _look_at(self, theta: Array, chi2: Array) -> tuple[Array, Array, NDArray[np.int16]]:
+        """Parameters and macro-parameters, their percent errors, and the bounds reached, a bit each."""
         model, rates = self.model, list(theta[:-1])
-        touching = self._touching(theta)
+        low, high = self._touching(theta)
         with np.errstate(all="ignore"):
             exponentials, chain = impulse_partials(model, rates)
-            on_bound = np.asarray(touching.any(axis=0))
-            slowest, fastest = 0.0 if model.trapping else min(self.rate_bounds), self.rate_bounds[1]
-            for phi, rate in zip(exponentials[::2], exponentials[1::2]):
-                at_end = (rate <= slowest * (1 + 1e-6)) & (slowest > 0) | (rate >= fastest * (1 - 1e-9))
-                on_bound |= (phi > 0) & at_end
+            reached = self._reached(low, high, exponentials)
             macros, macro_chain = partials(lambda *k: tuple(m.formula(*k) for m in model.macros), rates)
             values = np.concatenate([theta, macros])
             if not self.errors:
-                return values, np.full_like(values, np.nan), on_bound
-            errors = self._errors(theta, chi2, touching, exponentials, chain, macro_chain)
+                return values, np.full_like(values, np.nan), reached
+            errors = self._errors(theta, chi2, low | high, exponentials, chain, macro_chain)
             percent = 100.0 * errors / np.abs(values)
         percent[~np.isfinite(values)] = np.nan
-        return values, percent, on_bound
+        return values, percent, reached
 
-    def _touching(self, theta: Array) -> Flags:
-        """Free parameters on a bound (P, N)."""
+    def _touching(self, theta: Array) -> tuple[Flags, Flags]:
+        """Free parameters on their lower, and on their upper bound (P, N)."""
         lower, upper = self.box.lower, self.box.upper
         slack = ON_BOUND * np.where(np.isfinite(upper), np.maximum(upper - lower, 1e-3), 1.0)
-        touching = (theta <= (lower + slack)[:, None]) | (theta >= (upper - slack)[:, None])
-        touching[[p.fixed for p in self.box]] = False
-        return touching
+        free = ~np.array([p.fixed for p in self.box])[:, None]
+        return free & (theta <= (lower + slack)[:, None]), free & (theta >= (upper - slack)[:, None])
+
+    def _reached(self, low: Flags, high: Flags, exponentials: Array) -> NDArray[np.int16]:
+        """Two bits a parameter, lower and upper bound, then the slowest and the fastest rate of an exponential."""
+        reached = np.zeros(low.shape[1], np.int16)
+        for i in range(len(low)):
+            reached |= low[i].astype(np.int16) << np.int16(2 * i)
+            reached |= high[i].astype(np.int16) << np.int16(2 * i + 1)
+        slowest, fastest = 0.0 if self.model.trapping else min(self.rate_bounds), self.rate_bounds[1]
+        for phi, rate in zip(exponentials[::2], exponentials[1::2]):
+            slow = (phi > 0) & (rate <= slowest * (1 + 1e-6)) & (slowest > 0)
+            fast = (phi > 0) & (rate >= fastest * (1 - 1e-9))
+            reached |= slow.astype(np.int16) << np.int16(2 * len(low))
+            reached |= fast.astype(np.int16) << np.int16(2 * len(low) + 1)
+        return reached
 
     def _errors(
         self, theta: Array, chi2: Array, touching: Flags, exponentials: Array, chain: Array, macro_chain: Array

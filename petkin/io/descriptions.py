@@ -101,6 +101,12 @@ def status_sidecar(meanings: Mapping[int, str], shared: Mapping[str, Any]) -> di
     }
 
 
+def column_fields(meaning: str, unit: str, levels: Mapping[int, str] | None = None) -> dict[str, Any]:
+    """JSON of one further column, or of a map: what it is, and what its codes mean."""
+    coded = {} if levels is None else {"Levels": {str(code): text for code, text in levels.items()}}
+    return {"Description": meaning, "Units": file_unit(unit), **coded}
+
+
 def kinpar_sidecar(
     measures: Sequence[Measure], meanings: Mapping[int, str], shared: Mapping[str, Any]
 ) -> dict[str, Any]:

@@ -30,8 +30,9 @@ STATUS_COLOURS = {
     Status.AT_BOUND: "#e69f00",
     Status.NOT_IDENTIFIABLE: "#0072b2",
     Status.NOT_CONVERGED: "#d55e00",
+    Status.SECOND_MINIMUM: "#cc79a7",
 }
-_OTHER_COLOUR = "#cc79a7"
+_OTHER_COLOUR = "#56b4e9"
 _WIDEST, _TALLEST, _GAP, _TOP, _BOTTOM, _SIDE = 4.9, 2.5, 0.24, 0.3, 0.12, 0.12
 _ZOOM = 1.25
 _BAR, _BAR_LABELS, _LEGEND = 0.13, 0.85, 1.95

@@ -36,6 +36,7 @@ _SHORT = {
     Status.AT_BOUND: "on a bound",
     Status.NOT_IDENTIFIABLE: "not identifiable",
     Status.NOT_CONVERGED: "not converged",
+    Status.SECOND_MINIMUM: "second minimum",
 }
 _UNFITTED = (Status.OUTSIDE, Status.NOT_FINITE, Status.NO_SIGNAL)
 _MINUS, _SPACE, MISSING = "\u2212", "\u202f", "n/a"

@@ -78,7 +78,7 @@ def write_study_description(folder: AtomicFolder, name: str, *, out: Path, raw: 
 
 
 def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
-    """index, name, then value and percent standard error of every quantity, chi2, aicc, status."""
+    """index, name, then value and percent standard error of every quantity, chi2, aicc, status, what else is known."""
     assert fit.curves is not None
     index = fit.curves.index or tuple(range(1, len(fit.curves.names) + 1))
     columns: dict[str, Any] = {"index": index, "name": fit.curves.names}
@@ -86,13 +86,15 @@ def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
         measure = describe.measure_name(estimate.symbol)
         columns[measure] = estimate.value
         columns[f"{measure}-se"] = estimate.percent_se
-    return pd.DataFrame({**columns, "chi2": result.chi2, "aicc": result.aicc, "status": result.status.astype(int)})
+    columns |= {"chi2": result.chi2, "aicc": result.aicc, "status": result.status.astype(int)}
+    return pd.DataFrame(columns | {column.name: column.cells for column in result.columns})
 
 
 def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
     assert fit.curves is not None
     path = names.kinpar_path(fit.source.entities, result.model, seg=fit.curves.seg, desc=fit.curves.desc)
     sidecar = describe.kinpar_sidecar(_columns(result), _MEANINGS, _shared(result.model, fit, request, result))
+    sidecar |= {column.name: describe.column_fields(column.meaning, column.unit) for column in result.columns}
     _table_with_json(folder, path, lambda p: write_table(p, kinpar_table(fit, result)), sidecar)
 
 
@@ -135,6 +137,17 @@ def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: 
         affine,
         describe.status_sidecar(_MEANINGS, shared),
     )
+    for column in result.columns:
+        if column.mapped:
+            measure, _, desc = column.name.rpartition("-")
+            whole = np.issubdtype(column.values.dtype, np.integer)
+            values = column.values if whole else column.values.astype(np.float32)
+            write_map(
+                folder.path(names.map_path(scan, result.model, measure, desc=desc)),
+                voxels.volume(values, 0 if whole else np.nan),
+                affine,
+                describe.column_fields(column.meaning, column.unit, column.levels) | shared,
+            )
 
 
 def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | None = None) -> dict[str, Any]:

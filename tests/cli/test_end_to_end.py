@@ -49,7 +49,7 @@ def test_every_file_of_the_contract_is_there_and_no_other(fitted: tuple[Path, Ra
     expected = {"seg-phantom_tacs.tsv", "inputfunction.tsv", "desc-fit_report.html"}
     for model, symbols in PARAMETERS.items():
         expected.add(f"seg-phantom_model-{model}_kinpar.tsv")
-        expected |= {f"model-{model}_desc-{what}_mimap.nii.gz" for what in ("status", "chi2", "aicc")}
+        expected |= {f"model-{model}_desc-{what}_mimap.nii.gz" for what in ("status", "chi2", "aicc", "bound")}
         for symbol in symbols:
             expected |= {f"model-{model}_meas-{symbol}{se}_mimap.nii.gz" for se in ("", "_desc-se")}
     sidecars = {name.partition(".")[0] + ".json" for name in expected if not name.endswith(".html")}
@@ -72,6 +72,8 @@ def test_every_sidecar_states_what_its_numbers_are(fitted: tuple[Path, Ran]) -> 
                 assert {"Sources", "Weights", "InputDelay", "Settings", "SoftwareVersion"} <= set(fields)
         levels = json.loads((study / RESULTS / f"sub-01_model-{model}_desc-status_mimap.json").read_text())["Levels"]
         assert levels["0"].startswith("fitted")
+        levels = json.loads((study / RESULTS / f"sub-01_model-{model}_desc-bound_mimap.json").read_text())["Levels"]
+        assert (levels["1"], levels["2"]) == ("K1 at 0", "K1 at 10")
     description = json.loads((study / "derivatives/petkin/dataset_description.json").read_text())
     assert (description["DatasetType"], description["GeneratedBy"][0]["Name"]) == ("derivative", "petkin")
     assert description["DatasetLinks"] == {"raw": "../.."}
@@ -85,7 +87,7 @@ def test_regions_are_within_one_percent_of_the_truth(fitted: tuple[Path, Ran]) -
     truth = pd.read_csv(study / TRUTH / "sub-01_seg-phantom_model-2TCM_desc-truth_kinpar.tsv", sep="\t")
     found = pd.read_csv(study / RESULTS / "sub-01_seg-phantom_model-2TCM_kinpar.tsv", sep="\t")
     heading = ["index", "name", *(name for symbol in PARAMETERS["2TCM"] for name in (symbol, f"{symbol}-se"))]
-    assert list(found.columns) == [*heading, "chi2", "aicc", "status"]
+    assert list(found.columns) == [*heading, "chi2", "aicc", "status", "bound"]
     assert list(found["name"]) == list(truth["name"])
     assert list(found["index"]) == list(truth["index"])
     for symbol in ("VT", "K1"):

@@ -27,8 +27,9 @@ def simulate(
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            help="Effect that the image has and the blood record does not, NAME=VALUE: arterial_delay (s), "
-            "dispersion (s), blood_volume (0 to 1), second_tissue (k3, 1/min; with --model 1TCM). Repeatable."
+            help="Effect that the image has and the blood record does not, NAME=VALUE[,SYMBOL=VALUE]: "
+            "arterial_delay=5 (s), gain_step=0.05,onset=30 (min), second_tissue=0.05 (k3, 1/min; with --model 1TCM), "
+            "and all that docs/diagnosing.md lists. Repeatable."
         ),
     ] = None,
     roi: Annotated[

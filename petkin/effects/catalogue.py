@@ -2,14 +2,44 @@
 
 from __future__ import annotations
 
+from petkin.effects import clock, imaging, input, noise, tissue, vascular
 from petkin.effects.effect import Effect, Injection
-from petkin.effects.input import ARTERIAL_DELAY, DISPERSION
-from petkin.effects.tissue import SECOND_TISSUE
-from petkin.effects.vascular import BLOOD_VOLUME_EFFECT
 from petkin.errors import InputError
 
-#: Every effect; a new one is a file or a value in its stage's file, and an entry here.
-EFFECTS: tuple[Effect, ...] = (ARTERIAL_DELAY, DISPERSION, BLOOD_VOLUME_EFFECT, SECOND_TISSUE)
+#: Every effect; a new one is a value in its stage's file, and an entry here.
+EFFECTS: tuple[Effect, ...] = (
+    input.ARTERIAL_DELAY,
+    input.DISPERSION,
+    input.PARENT_FRACTION,
+    input.INPUT_SCALE,
+    input.INPUT_PARTIAL_VOLUME,
+    vascular.BLOOD_VOLUME_EFFECT,
+    vascular.VASCULAR_TRAPPING,
+    tissue.SECOND_TISSUE,
+    tissue.TISSUE_METABOLITE,
+    tissue.TISSUE_HETEROGENEITY,
+    tissue.TIME_VARYING_KINETICS,
+    tissue.FLOW_CHANGE,
+    tissue.SATURABLE_BINDING,
+    imaging.PARTIAL_VOLUME,
+    imaging.MOTION_STEP,
+    imaging.MOTION_DRIFT,
+    imaging.ATTENUATION_MISMATCH,
+    imaging.SCATTER_BACKGROUND,
+    imaging.RANDOMS_OFFSET,
+    imaging.DEAD_TIME,
+    imaging.GAIN_DRIFT,
+    imaging.GAIN_STEP,
+    clock.FRAME_OFFSET,
+    clock.FRAME_DURATION,
+    clock.MID_FRAME_SAMPLING,
+    clock.HALF_LIFE_ERROR,
+    clock.MEAN_LIFE_SWAP,
+    clock.DECAY_APPLIED_TWICE,
+    clock.DECAY_NOT_APPLIED,
+    noise.NOISE_VARIANCE,
+    noise.NONNEGATIVITY_BIAS,
+)
 
 
 def effect_named(name: str) -> Effect:

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.effects.forward_model import STAGES, ForwardModel
 from petkin.errors import InputError
 
-Change = Callable[[ForwardModel, Mapping[str, float]], ForwardModel]
+Change = Callable[[ForwardModel, Mapping[str, Any]], ForwardModel]
+
+#: Parameter that says where an effect acts: 0 everywhere, n in region n.
+REGION = Parameter("region", "1", 1.0, 0.0, 999.0, meaning="number of the region that it acts in; 0 is all of them")
+
+
+def _always(_: ForwardModel) -> bool:
+    return True
 
 
 @dataclass(frozen=True)
@@ -24,6 +34,12 @@ class Effect:
         meaning: one sentence, with the sign.
         source: where the form and range come from.
         change: the change itself, given a value for every parameter.
+        split_by: the measurement that tells it from what looks like it.
+        regional: whether the amplitude may differ between regions.
+        flag: whether it is there or not, with no strength of its own.
+        grid: values at which a diagnosis starts, by symbol, of parameters other than the amplitude; those that are not
+            named here and not "onset", "frame" or "region" stay at their start.
+        suits: whether a forward model can have it.
     """
 
     name: str
@@ -32,6 +48,11 @@ class Effect:
     meaning: str
     source: str
     change: Change
+    split_by: str = ""
+    regional: bool = False
+    flag: bool = False
+    grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    suits: Callable[[ForwardModel], bool] = _always
 
     def __post_init__(self) -> None:
         if self.stage not in STAGES:
@@ -42,19 +63,19 @@ class Effect:
         """The parameter that says how strong the effect is."""
         return self.parameters.members[0]
 
-    def values(self, given: Mapping[str, float]) -> dict[str, float]:
-        """A value for every parameter: the given ones, and starts for the rest.
+    def values(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """A value for every parameter: the given ones, and starts for the rest. An amplitude may be one a region.
 
         Raises:
             InputError: an unknown symbol, or a value that is not finite.
         """
         for symbol, value in given.items():
             _ = self.parameters[symbol]
-            if not math.isfinite(value):
+            if not np.all(np.isfinite(value)):
                 raise InputError(f"Effect {self.name}: {symbol} is {value:g}; give a finite number.")
-        return {p.symbol: float(given.get(p.symbol, p.start)) for p in self.parameters}
+        return {p.symbol: given.get(p.symbol, p.start) for p in self.parameters}
 
-    def inject(self, model: ForwardModel, given: Mapping[str, float] | None = None) -> ForwardModel:
+    def inject(self, model: ForwardModel, given: Mapping[str, Any] | None = None) -> ForwardModel:
         """The forward model with the effect in it; every stage but `stage` is the same object as before.
 
         Raises:
@@ -68,8 +89,23 @@ class Injection:
     """An effect with its values, as asked for."""
 
     effect: Effect
-    values: Mapping[str, float]
+    values: Mapping[str, Any]
 
     def into(self, model: ForwardModel) -> ForwardModel:
         """The forward model with the effect in it."""
         return self.effect.inject(model, self.values)
+
+
+def placed(model: ForwardModel, values: Mapping[str, Any], symbol: str) -> Any:
+    """The amplitude by region: as given where it is one a region, else in the region that is named.
+
+    Raises:
+        InputError: there is no such region.
+    """
+    amplitude, region = values[symbol], values["region"]
+    if np.ndim(amplitude) > 0:
+        return amplitude
+    count = len(model.regions)
+    if not (region == math.floor(region) and 0 <= region <= count):
+        raise InputError(f"region={region:g}: there are regions 1 to {count}; 0 is all of them.")
+    return np.array([amplitude if region in (0, r + 1) else 0.0 for r in range(count)])

@@ -1,22 +1,29 @@
 """The forward model of a scan, one field a stage: what an effect changes, and what gives the frame values.
 
-blood record -> [input] C_P, C_B -> [tissue] C_T -> [vascular] (1 - vB) C_T + vB C_B -> [imaging] space
+blood record -> [input] C_P, C_B -> [tissue] C_T -> [vascular] (1 - vB) C_T + vB C_B -> [imaging] space, gain
              -> [clock] frames and decay -> [noise] counts
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from petkin.effects.course import Course
+from petkin.effects.responses import Exact, Responses, alike
 from petkin.errors import InputError
 from petkin.imaging import CountingNoise, FrameObservation
 from petkin.inputs import InputFunction
 from petkin.kinetics import BLOOD_VOLUME, compartment_model
+
+#: Frame values (..., regions, frames) as they would be -> as the scanner has them. Given the clock.
+Distortion = Callable[[Any, FrameObservation], Any]
 
 
 @dataclass(frozen=True)
@@ -26,24 +33,58 @@ class Tissue:
     Args:
         model: label, e.g. "2TCM".
         rates: by symbol, each (regions,), K1 in mL/cm3/min, others in 1/min.
+        spread: relative spread of K1 and k2 within regions: half of each lies above by it, half below.
+        metabolite: share of K1 at which metabolites enter, and their rate of return, 1/min.
+        course: how the rates change over the scan.
     """
 
     model: str
-    rates: Mapping[str, Float[Tensor, " regions"]]
+    rates: Mapping[str, Any]
+    spread: Any = 0.0
+    metabolite: tuple[Any, float] | None = None
+    course: Course | None = None
+
+    def values(self, model: ForwardModel, seen: Responses) -> Any:
+        """Frame values of C_T (..., regions, frames)."""
+        compartments = compartment_model(self.model)
+        rates = [self.rates[symbol] for symbol in compartments.parameters.symbols[:-1]]
+        halves = [1.0 + self.spread, 1.0 - self.spread] if np.any(self.spread) else [1.0]
+        total: Any = 0.0
+        for half in halves:
+            spread = [rate * half if symbol in ("K1", "k2") else rate for symbol, rate in self._ordered()]
+            for phi, a in compartments.impulse(*spread):
+                total = total + phi[..., None] * seen.plasma(a) / len(halves)
+        if self.metabolite is not None:
+            share, back = self.metabolite
+            total = total + (share * rates[0])[..., None] * seen.metabolites(0.0 * rates[0] + back)
+        if self.course is not None:
+            total = total + alike(self._departure(model, rates), total)
+        return total
+
+    def _ordered(self) -> list[tuple[str, Any]]:
+        return [(s, self.rates[s]) for s in compartment_model(self.model).parameters.symbols[:-1]]
+
+    def _departure(self, model: ForwardModel, rates: list[Any]) -> Any:
+        plain = [np.asarray(torch.as_tensor(rate).detach()) for rate in rates]
+        missing = [np.zeros_like(plain[0])] * (4 - len(plain))
+        assert self.course is not None
+        return self.course.departure(np.stack([*plain, *missing], axis=-1), model.input.plasma, model.clock)
 
 
 @dataclass(frozen=True)
 class Vessels:
-    """Vascular stage: vB, the fraction of each region that is blood (regions,)."""
+    """Vascular stage: vB, the share of each region that is blood (regions,), and Kb, 1/min, by which its walls trap."""
 
-    volume: Float[Tensor, " regions"]
+    volume: Any
+    trapping: Any = 0.0
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Imaging stage, in space: FWHM of the point spread, mm."""
+    """Imaging stage: FWHM of the point spread of images, mm, and what happens to the regions' values besides."""
 
     point_spread: float = 0.0
+    distortions: tuple[Distortion, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,9 +123,35 @@ class ForwardModel:
             raise InputError(f"Model {self.tissue.model} needs {', '.join(missing)}, which the tissue does not have.")
         return torch.stack([known[s] for s in symbols], dim=-1)
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether values are compartments and blood alone, with nothing that changes, mixes or scales them besides."""
+        tissue, added = self.tissue, (self.vascular.trapping, self.noise.bias)
+        changed = np.any(tissue.spread) or tissue.metabolite is not None or tissue.course is not None
+        return not (changed or self.imaging.distortions or any(np.any(a) for a in added))
+
     def frame_values(self) -> Float[Tensor, "regions frames"]:
-        """Noise-free values that the frames report of each region, kBq/mL, before the point spread."""
-        return compartment_model(self.tissue.model).frame_values(self.parameters, self.input, self.clock)
+        """Noise-free values that the frames report of each region, kBq/mL, before the point spread; differentiable."""
+        _ = self.parameters
+        return self.values(Exact(self.input, self.clock))
+
+    def values(self, seen: Responses) -> Any:
+        """The same from given responses; rates and volumes may have batch axes before that of the regions."""
+        vB = self.vascular.volume
+        values = (1.0 - vB)[..., None] * self.tissue.values(self, seen) + vB[..., None] * seen.blood
+        if np.any(self.vascular.trapping):
+            values = values + (vB * self.vascular.trapping)[..., None] * seen.blood_area
+        for distortion in self.imaging.distortions:
+            values = distortion(values, self.clock)
+        if self.noise.bias:
+            values = values + alike(self.noise.excess(self.clock) * peak(values), values)
+        return values
+
+
+def peak(values: Any) -> float:
+    """Highest mean over the regions, kBq/mL; over the first of a batch."""
+    first = np.asarray(torch.as_tensor(values).detach()).reshape(-1, *values.shape[-2:])[0]
+    return float(first.mean(axis=0).max())
 
 
 #: Names of the stages in the order of the chain.

@@ -2,34 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import torch
 
-from petkin.dynamics import ExponentialSum, Forcing, Parameter, ParameterSet, Shifted
+from petkin.dynamics import ExponentialSum, Forcing, Parameter, ParameterSet, PiecewiseLinear, Shifted
 from petkin.effects.effect import Effect
 from petkin.effects.forward_model import ForwardModel
 from petkin.errors import InputError
 from petkin.inputs import dispersed
+from petkin.inputs.linearise import piecewise_linear
 from petkin.units import SECONDS_PER_MINUTE
 
 #: Straight pieces that stand for the dispersed curve follow it this closely; formulas need none.
 _TOLERANCE = 1e-5
 #: A rate of the curve nearer than this share to 1/tau cancels in the formula.
 _NEAREST_RATE = 1e-3
+#: Straight pieces this many are taken to follow their smeared curve as closely as they do the curve itself.
+_DENSE = 300
+#: Rate of the tissue around a vessel that an image-derived input takes up from, 1/min.
+_TISSUE_RATE = 0.1
 
 
-def _delay(model: ForwardModel, values: Mapping[str, float]) -> ForwardModel:
+def _delay(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     return replace(model, input=model.input.delayed(values["delay"] / SECONDS_PER_MINUTE))
 
 
-def _disperse(model: ForwardModel, values: Mapping[str, float]) -> ForwardModel:
-    if values["tau"] < 0:
-        raise InputError(f"dispersion={values['tau']:g}: a curve cannot be smeared by less than 0 s.")
-    if values["tau"] == 0:
+def _disperse(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+    tau, end = values["tau"] / SECONDS_PER_MINUTE, _end(model)
+    if tau == 0:
         return model
-    tau, end = values["tau"] / SECONDS_PER_MINUTE, float(model.clock.frames.end[-1]) + 1.0
     plasma = _smeared(model.input.plasma, tau, end)
     alike = model.input.whole_blood is model.input.plasma
     whole_blood = plasma if alike else _smeared(model.input.whole_blood, tau, end)
@@ -37,15 +42,101 @@ def _disperse(model: ForwardModel, values: Mapping[str, float]) -> ForwardModel:
     return replace(model, input=changed)
 
 
+def _end(model: ForwardModel) -> float:
+    return float(model.clock.frames.end[-1]) + 1.0
+
+
 def _smeared(forcing: Forcing, tau: float, end: float) -> Forcing:
     if isinstance(forcing, Shifted):
         earlier = float(torch.as_tensor(forcing.delay).detach())
         return Shifted(_smeared(forcing.forcing, tau, end - earlier), forcing.delay)
+    if tau < 0:
+        return _sharpened(straight(forcing, end), -tau)
     if isinstance(forcing, ExponentialSum) and max(forcing.powers) <= 1 and forcing.coefficients.ndim == 1:
         sums = forcing.exponents + 1.0 / tau
         if bool((sums.abs() > _NEAREST_RATE / tau).all()):
             return _smeared_sum(forcing, tau)
+    if isinstance(forcing, PiecewiseLinear) and forcing.knots.numel() >= _DENSE:
+        return PiecewiseLinear(forcing.times, forcing.response(torch.tensor(1.0 / tau), forcing.times) / tau)
     return dispersed(forcing, tau, end=end, tolerance=_TOLERANCE)
+
+
+def _sharpened(curve: PiecewiseLinear, tau: float) -> PiecewiseLinear:
+    """u + tau u', what entered where u came out; slopes as parabolas through neighbouring knots have them."""
+    return PiecewiseLinear(curve.times, curve.values + tau * torch.gradient(curve.values, spacing=(curve.times,))[0])
+
+
+def straight(forcing: Forcing, end: float) -> PiecewiseLinear:
+    """A curve in straight pieces up to `end`: itself where it is, else close to it."""
+    if isinstance(forcing, PiecewiseLinear):
+        return forcing
+    knots = forcing.knots.detach().numpy()
+    first = np.concatenate([knots[knots < end], np.linspace(float(knots[0]), end, 64)])
+    return piecewise_linear(lambda t: forcing(torch.as_tensor(t)).numpy(), first, tolerance=_TOLERANCE)
+
+
+def _scale(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+    factor = 1.0 + values["scale"]
+
+    def scaled(forcing: Forcing, end: float) -> Forcing:
+        if isinstance(forcing, Shifted):
+            return Shifted(scaled(forcing.forcing, end - float(forcing.delay)), forcing.delay)
+        if isinstance(forcing, ExponentialSum):
+            return replace(forcing, coefficients=forcing.coefficients * factor)
+        curve = straight(forcing, end)
+        return replace(curve, values=curve.values * factor)
+
+    return _of_all(model, lambda forcing: scaled(forcing, _end(model)))
+
+
+def _of_all(model: ForwardModel, change: Callable[[Forcing], Forcing]) -> ForwardModel:
+    """Plasma, its total and whole blood changed alike."""
+    before = model.input
+    plasma = change(before.plasma)
+    blood = plasma if before.whole_blood is before.plasma else change(before.whole_blood)
+    total = None if before.total_plasma is None else change(before.total_plasma)
+    return replace(model, input=replace(before, plasma=plasma, whole_blood=blood, total_plasma=total))
+
+
+def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+    """C_P (1 - a h(t)), h = t^2 / (t^2 + t50^2)."""
+    loss, half = values["loss"], values["half_time"]
+    if not loss <= 1:
+        raise InputError(
+            f"parent_fraction={loss:g}: no more than all of the tracer can be metabolised; give at most 1."
+        )
+
+    def kept(forcing: Forcing, end: float) -> Forcing:
+        if isinstance(forcing, Shifted):
+            return Shifted(kept(forcing.forcing, end - float(forcing.delay)), forcing.delay)
+        curve = straight(forcing, end)
+        t = curve.times.clamp(min=0.0)
+        return PiecewiseLinear(curve.times, curve.values * (1.0 - loss * t**2 / (t**2 + half**2)))
+
+    before, end = model.input, _end(model)
+    fraction = before.parent_fraction or PiecewiseLinear(*torch.tensor([[0.0, end], [1.0, 1.0]], dtype=torch.float64))
+    finer = PiecewiseLinear(t := torch.linspace(0.0, end, 512, dtype=torch.float64), fraction(t))
+    changed = replace(
+        before,
+        plasma=kept(before.plasma, end),
+        total_plasma=before.total_plasma or before.plasma,
+        parent_fraction=kept(finer, end),
+        parent_fraction_fit=None,
+    )
+    return replace(model, input=changed)
+
+
+def _spilled(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+    """C - m T, T = k e^{-k t} * C the tissue around the vessel."""
+    rate = torch.tensor(_TISSUE_RATE, dtype=torch.float64)
+
+    def cleared(forcing: Forcing, end: float) -> Forcing:
+        if isinstance(forcing, Shifted):
+            return Shifted(cleared(forcing.forcing, end - float(forcing.delay)), forcing.delay)
+        curve = straight(forcing, end)
+        return replace(curve, values=curve.values - values["share"] * rate * curve.response(rate, curve.times))
+
+    return _of_all(model, lambda forcing: cleared(forcing, _end(model)))
 
 
 def _smeared_sum(curve: ExponentialSum, tau: float) -> ExponentialSum:
@@ -69,13 +160,57 @@ ARTERIAL_DELAY = Effect(
     meaning="the tissue lags the blood record by `delay`, in plasma and whole blood alike; one value a scan",
     source="Iida H et al. J Cereb Blood Flow Metab 1988;8:285-288 (delay between sampling site and tissue)",
     change=_delay,
+    split_by="the clocks of scanner and blood counter, or early frames of 5 s or less over a vessel",
 )
 
 DISPERSION = Effect(
     name="dispersion",
     stage="input",
-    parameters=ParameterSet((Parameter("tau", "s", 5.0, 0.0, 12.0, meaning="time constant of the smear"),)),
-    meaning="the tissue sees the recorded curve convolved with (1/tau) e^{-t/tau}; one value a scan",
+    parameters=ParameterSet((Parameter("tau", "s", 5.0, -12.0, 12.0, meaning="time constant of the smear"),)),
+    meaning="the tissue sees the recorded curve convolved with (1/tau) e^{-t/tau}, or (< 0) the record is so convolved",
     source="Iida H et al. J Cereb Blood Flow Metab 1986;6:536-545, doi:10.1038/jcbfm.1986.99",
     change=_disperse,
+    split_by="a step of activity passed through the sampling line, or a vessel in early frames of 5 s or less",
+)
+
+PARENT_FRACTION = Effect(
+    name="parent_fraction",
+    stage="input",
+    parameters=ParameterSet(
+        (
+            Parameter(
+                "loss", "1", 0.3, -0.5, 1.0, meaning="share by which late plasma holds less tracer than recorded"
+            ),
+            Parameter("half_time", "min", 10.0, 1.0, 60.0, meaning="when half of that is lost"),
+        )
+    ),
+    meaning="less (> 0) of the plasma is unchanged tracer than recorded, or more: C_P (1 - a t^2 / (t^2 + t50^2))",
+    source="Tonietto M et al. J Cereb Blood Flow Metab 2016;36:326-339, doi:10.1177/0271678X15610585",
+    change=_metabolised,
+    split_by="parent fraction measured in more samples, or a second measurement of them",
+    grid={"half_time": (3.0, 8.0, 20.0)},
+)
+
+INPUT_SCALE = Effect(
+    name="input_scale",
+    stage="input",
+    parameters=ParameterSet(
+        (Parameter("scale", "1", 0.05, -0.1, 0.1, meaning="by which blood is larger than recorded"),)
+    ),
+    meaning="scanner and blood counter disagree: true blood is larger (> 0) than recorded by a factor",
+    source="cross-calibration within 5 %, accreditation within 10 %",
+    change=_scale,
+    split_by="a phantom measured in scanner and blood counter, or blood beside a late venous region",
+)
+
+INPUT_PARTIAL_VOLUME = Effect(
+    name="input_partial_volume",
+    stage="input",
+    parameters=ParameterSet(
+        (Parameter("share", "1", 0.1, -0.1, 0.5, meaning="of the tissue around it in the record"),)
+    ),
+    meaning="the recorded input holds a share of the tissue around the vessel: C - a k e^{-k t} * C",
+    source="Zanotti-Fregonara P et al. J Cereb Blood Flow Metab 2011;31:1986-1998 (image-derived input)",
+    change=_spilled,
+    split_by="a few blood samples late in the scan",
 )

@@ -1,23 +1,34 @@
-"""Effects of the vascular stage: blood within the regions."""
+"""Effects of the vascular stage: blood within the regions, and what the walls of its vessels keep."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
-import torch
+import numpy as np
 
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.effects.effect import Effect
-from petkin.effects.forward_model import ForwardModel, Vessels
+from petkin.effects.forward_model import ForwardModel
 from petkin.errors import InputError
 
 
-def _fill(model: ForwardModel, values: Mapping[str, float]) -> ForwardModel:
+def _fill(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     volume = values["vB"]
-    if not 0 <= volume <= 1:
-        raise InputError(f"blood_volume={volume:g}: a share of a volume lies in 0 to 1; 5 percent is 0.05.")
-    return replace(model, vascular=Vessels(torch.full_like(model.vascular.volume, volume)))
+    if not (np.min(volume) >= 0 and np.max(volume) <= 1):
+        raise InputError(f"blood_volume={volume}: a share of a volume lies in 0 to 1; 5 percent is 0.05.")
+    return replace(model, vascular=replace(model.vascular, volume=0.0 * model.vascular.volume + volume))
+
+
+def _trap(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+    if np.min(values["Kb"]) < 0:
+        raise InputError(f"vascular_trapping={values['Kb']}: a rate constant is never negative.")
+    return replace(model, vascular=replace(model.vascular, trapping=values["Kb"]))
+
+
+def _has_vessels(model: ForwardModel) -> bool:
+    return bool((model.vascular.volume > 0).all())
 
 
 BLOOD_VOLUME_EFFECT = Effect(
@@ -27,4 +38,17 @@ BLOOD_VOLUME_EFFECT = Effect(
     meaning="regions hold (1 - vB) C_T + vB C_B; injected, vB is the same in all regions and replaces what they had",
     source="Innis RB et al. J Cereb Blood Flow Metab 2007;27:1533-1539, doi:10.1038/sj.jcbfm.9600493",
     change=_fill,
+    split_by="early frames of 5 s or less, or a scan of labelled blood",
+    regional=True,
+)
+
+VASCULAR_TRAPPING = Effect(
+    name="vascular_trapping",
+    stage="vascular",
+    parameters=ParameterSet((Parameter("Kb", "min^-1", 0.2, 0.0, 1.0, meaning="rate at which vessel walls trap"),)),
+    meaning="the walls of the vessels trap tracer: vB Kb int_0^t C_B is added",
+    source="Rizzo G et al. J Cereb Blood Flow Metab 2014;34:1060-1069, doi:10.1038/jcbfm.2014.55",
+    change=_trap,
+    split_by="a scan after blocking, or a longer scan",
+    suits=_has_vessels,
 )

@@ -99,12 +99,14 @@ class FrameObservation:
         decay: lam, 1/min.
         corrected: divide by the mean decay over the frame.
         mid_frame: evaluate instead of averaging.
+        gain: factor (K,) on every value, of a processing that erred; None is none.
     """
 
     frames: FrameSchedule
     decay: float = 0.0
     corrected: bool = True
     mid_frame: bool = False
+    gain: NDArray[np.float64] | None = None
 
     def of_forcing(self, forcing) -> Float[Tensor, "*b frames"]:
         """x_k of the forcing itself."""
@@ -118,14 +120,22 @@ class FrameObservation:
 
     def _observe(self, curve: Callable[[Tensor], Tensor], cumulative: Callable[[Tensor], Tensor]) -> Tensor:
         if self.mid_frame:
-            return curve(torch.tensor(self.frames.mid))
+            return curve(torch.tensor(self.frames.mid)) * self.gain_or_one
         start, end = torch.tensor(self.frames.start), torch.tensor(self.frames.end)
         edges, place = torch.unique(torch.cat([start, end]), return_inverse=True)  # most ends are the next start
         areas = cumulative(edges)[..., place]
         area = areas[..., len(start) :] - areas[..., : len(start)]
-        if not self.corrected:
-            return area / (end - start)
-        return area / self.mean_decay_times_duration
+        return area / self.divisor
+
+    @property
+    def divisor(self) -> Float[Tensor, " frames"]:
+        """What the frame's integral is divided by to give its value, min."""
+        plain = self.mean_decay_times_duration if self.corrected else torch.tensor(self.frames.duration)
+        return plain if self.gain is None else plain / self.gain_or_one
+
+    @property
+    def gain_or_one(self) -> Float[Tensor, " frames"]:
+        return torch.ones(len(self.frames), dtype=torch.float64) if self.gain is None else torch.tensor(self.gain)
 
     @property
     def mean_decay_times_duration(self) -> Float[Tensor, " frames"]:

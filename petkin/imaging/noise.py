@@ -40,6 +40,9 @@ class CountingNoise:
         floor_share: `floor` of the variance law as a share of `reference`: empty voxels are noisy too.
         common_share: fraction s of the variance that all voxels of a frame share, 0 to 1.
         correlation: FWHM (mm) of the spatial correlation of e_ik; 0 is white.
+        flatness: f in sd = (counting law)^(1 - f) (sd of the reference)^f; 1 is the same sd everywhere.
+        bias: mean excess that a reconstruction without negative values leaves in the noisiest frame, as a share of the
+            highest mean over the regions; in other frames it goes with var / value.
     """
 
     percent: float
@@ -47,6 +50,8 @@ class CountingNoise:
     floor_share: float = 0.05
     common_share: float = 0.0
     correlation: float = 0.0
+    flatness: float = 0.0
+    bias: float = 0.0
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.percent) and self.percent >= 0):
@@ -67,11 +72,18 @@ class CountingNoise:
     def of_frames(self, observation: FrameObservation) -> Float[NDArray, " frames"]:
         """The frame's factor of the sd, alpha sqrt(g_k / d_k), (kBq/mL)^(1/2)."""
         counts = _counts_per_value(observation)
-        return 0.01 * self.percent * np.sqrt(self.reference * counts[reference_frame(observation)] / counts)
+        flat = 0.01 * self.percent * math.sqrt(self.reference)
+        return flat * np.sqrt(counts[reference_frame(observation)] / counts) ** (1.0 - self.flatness)
 
     def of_values(self, values: Float[NDArray, ...]) -> Float[NDArray, ...]:
         """The value's factor of the sd, sqrt(max(x, floor)), (kBq/mL)^(1/2)."""
-        return np.sqrt(np.maximum(values, self.floor_share * self.reference))
+        counted = np.sqrt(np.maximum(values, self.floor_share * self.reference))
+        return counted ** (1.0 - self.flatness) * math.sqrt(self.reference) ** self.flatness
+
+    def excess(self, observation: FrameObservation) -> Float[NDArray, " frames"]:
+        """Mean excess of every frame as a share of the highest regional mean."""
+        per_value = 1.0 / _counts_per_value(observation)
+        return self.bias * per_value / per_value.max()
 
     def frame_common(self, rng: np.random.Generator, frames: int) -> Float[NDArray, " frames"]:
         """sqrt(s) z_k of every frame."""

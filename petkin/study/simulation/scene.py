@@ -61,8 +61,10 @@ def scene(plan: Plan, subject: int, session: int) -> Scene:
     if not plan.settings.voxel_spread:
         return Scene(subject, session, given, record, _with_effects(plan, record))
     own = draw_voxels(plan.population, _of_voxels(plan, kinetics), random_stream(purpose="voxels", **draw))
-    voxels = replace(_forward(plan, arterial, own), noise=record.noise)
-    return Scene(subject, session, given, record, _with_effects(plan, record), _with_effects(plan, voxels))
+    voxels = _with_effects(plan, replace(_forward(plan, arterial, own), noise=record.noise))
+    if not voxels.is_plain:
+        raise InputError("--voxel-spread goes with effects of input, clock, blood volume and compartments alone.")
+    return Scene(subject, session, given, record, _with_effects(plan, record), voxels)
 
 
 def voxel_values(model: ForwardModel) -> Float[NDArray, "voxels frames"]:

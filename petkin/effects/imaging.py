@@ -1,0 +1,202 @@
+"""Effects of the imaging stage: what the scanner makes of the regions' values. x is what it should show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.dynamics import Parameter, ParameterSet
+from petkin.effects.effect import REGION, Change, Effect, placed
+from petkin.effects.forward_model import Distortion, ForwardModel, peak
+from petkin.effects.responses import alike
+from petkin.imaging import FrameObservation
+
+Array = NDArray[np.float64]
+_SHARE = "share of the value that comes from the other regions' mean"
+
+
+def after(clock: FrameObservation, onset: float) -> Array:
+    """Share of every frame that lies after the onset (K,)."""
+    frames = clock.frames
+    return np.clip((frames.end - onset) / frames.duration, 0.0, 1.0)
+
+
+def _distorting(build: Callable[[ForwardModel, Mapping[str, Any]], Distortion]) -> Change:
+    """The change that adds one distortion to the camera."""
+
+    def change(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+        camera = replace(model.imaging, distortions=(*model.imaging.distortions, build(model, values)))
+        return replace(model, imaging=camera)
+
+    return change
+
+
+def _others(x: Any) -> Any:
+    """Mean over the other regions, for each (..., regions, frames)."""
+    count = x.shape[-2]
+    return (x.sum(axis=-2)[..., None, :] - x) / max(count - 1, 1)
+
+
+def _factor(change: Any, x: Any) -> Any:
+    """1 + change, by frame or by region and frame."""
+    return alike(1.0 + np.asarray(change), x)
+
+
+def _by_region(model: ForwardModel, values: Mapping[str, Any], symbol: str) -> Array:
+    return np.asarray(placed(model, values, symbol))[..., None]
+
+
+def _mixing(course: Callable[[FrameObservation, Mapping[str, Any]], Array | float]) -> Change:
+    """The change that mixes each region with the others' mean, by a share that follows a course over the frames."""
+
+    def build(model: ForwardModel, values: Mapping[str, Any]) -> Distortion:
+        share = _by_region(model, values, "share")
+        return lambda x, clock: x + (_others(x) - x) * alike(share * course(clock, values), x)
+
+    return _distorting(build)
+
+
+def _attenuated(model: ForwardModel, values: Mapping[str, Any]) -> Distortion:
+    gain = _by_region(model, values, "gain")
+    return lambda x, clock: x * _factor(gain * after(clock, values["onset"]), x)
+
+
+def _scattered(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
+    return lambda x, clock: x + float(values["share"]) * x.mean(axis=-2)[..., None, :]
+
+
+def _offset(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
+    def distort(x: Any, clock: FrameObservation) -> Any:
+        growth = np.exp(clock.decay * (clock.frames.mid - clock.frames.end[-1]))
+        return x + alike(float(values["share"]) * peak(x) * growth, x)
+
+    return distort
+
+
+def _dead(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
+    def distort(x: Any, clock: FrameObservation) -> Any:
+        rate = x.mean(axis=-2)[..., None, :] * alike(np.exp(-clock.decay * clock.frames.mid), x)
+        return x * (1.0 - float(values["loss"]) * rate / float(rate.max()))
+
+    return distort
+
+
+def _drifting(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
+    return lambda x, clock: x * _factor(values["gain"] * clock.frames.mid / clock.frames.end[-1], x)
+
+
+def _stepping(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
+    return lambda x, clock: x * _factor(values["gain"] * after(clock, values["onset"]), x)
+
+
+def _share(start: float, top: float, meaning: str, low: float = 0.0) -> Parameter:
+    return Parameter("share", "1", start, low, top, meaning=meaning)
+
+
+def _several(model: ForwardModel) -> bool:
+    return len(model.regions) > 1
+
+
+_ONSET = Parameter("onset", "min", 30.0, 0.0, 600.0, meaning="when it sets in")
+_GEOMETRY = "a segmentation from magnetic resonance and the scanner's point spread"
+
+PARTIAL_VOLUME = Effect(
+    name="partial_volume",
+    stage="imaging",
+    parameters=ParameterSet((_share(0.1, 0.3, _SHARE), replace(REGION, start=0.0))),
+    meaning="regions hold a share of what lies around them, the same in every frame",
+    source="Rousset OG et al. J Nucl Med 1998;39:904-911 (mixing of regions); shares up to 0.3 (small structures)",
+    change=_mixing(lambda clock, v: 1.0),
+    split_by=_GEOMETRY,
+    regional=True,
+    suits=_several,
+)
+MOTION_STEP = Effect(
+    name="motion_step",
+    stage="imaging",
+    parameters=ParameterSet((_share(0.1, 0.3, _SHARE), _ONSET, replace(REGION, start=0.0))),
+    meaning="the head moves once: from `onset` on, regions hold a share of what lies around them",
+    source="Jin X et al. Phys Med Biol 2013, motion of 5 mm: 5 to 10 % in regions",
+    change=_mixing(lambda clock, v: after(clock, v["onset"])),
+    split_by="the head tracker's record, or images reconstructed before and after the onset",
+    regional=True,
+    suits=_several,
+)
+MOTION_DRIFT = Effect(
+    name="motion_drift",
+    stage="imaging",
+    parameters=ParameterSet((_share(0.1, 0.3, _SHARE + " at the end"), replace(REGION, start=0.0))),
+    meaning="the head drifts: the share of what lies around a region grows linearly over the scan",
+    source="range as motion_step",
+    change=_mixing(lambda clock, v: clock.frames.mid / clock.frames.end[-1]),
+    split_by="the head tracker's record",
+    regional=True,
+    suits=_several,
+)
+ATTENUATION_MISMATCH = Effect(
+    name="attenuation_mismatch",
+    stage="imaging",
+    parameters=ParameterSet(
+        (Parameter("gain", "1", 0.05, -0.3, 0.3, meaning="relative change of a region's values"), _ONSET, REGION)
+    ),
+    meaning="from `onset` on the attenuation map no longer fits: values of some regions change by a factor",
+    source="McCord ME et al. J Nucl Med 1992;33:1209-1214: up to 30 % at 2 cm",
+    change=_distorting(_attenuated),
+    split_by="a second transmission or CT scan after the onset",
+    regional=True,
+    suits=_several,
+)
+SCATTER_BACKGROUND = Effect(
+    name="scatter_background",
+    stage="imaging",
+    parameters=ParameterSet((_share(0.03, 0.15, "share of the mean over regions that is added to each", -0.05),)),
+    meaning="scatter that was not taken out adds a share of the mean over all regions to each of them",
+    source="5 to 15 % without correction; below 5 % after it",
+    change=_distorting(_scattered),
+    split_by="a region without tracer, or the scatter estimate of the reconstruction",
+    suits=_several,
+)
+RANDOMS_OFFSET = Effect(
+    name="randoms_offset",
+    stage="imaging",
+    parameters=ParameterSet(
+        (_share(0.02, 0.05, "offset in the last frame as a share of the highest mean over regions", -0.05),)
+    ),
+    meaning="a constant background that decay correction lets grow is added to every region",
+    source="0 to 3 % of the peak; 5 % taken as the bound",
+    change=_distorting(_offset),
+    split_by="the scanner's singles and randoms rates, or air outside the head",
+)
+DEAD_TIME = Effect(
+    name="dead_time",
+    stage="imaging",
+    parameters=ParameterSet((Parameter("loss", "1", 0.05, 0.0, 0.3, meaning="share lost at the highest count rate"),)),
+    meaning="the scanner loses counts in proportion to the count rate",
+    source="residual errors up to 5 % after correction, factors 1.1 to 2.5 before it",
+    change=_distorting(_dead),
+    split_by="the scanner's singles rates",
+)
+GAIN_DRIFT = Effect(
+    name="gain_drift",
+    stage="imaging",
+    parameters=ParameterSet((Parameter("gain", "1", 0.03, -0.1, 0.1, meaning="relative excess at the end"),)),
+    meaning="the scanner's sensitivity drifts: values are too large by a share that grows linearly; > 0: too large",
+    source="daily quality control: 1 to 3 %",
+    change=_distorting(_drifting),
+    split_by="a phantom of long half-life scanned over the same time",
+)
+GAIN_STEP = Effect(
+    name="gain_step",
+    stage="imaging",
+    parameters=ParameterSet(
+        (Parameter("gain", "1", 0.05, -0.2, 0.2, meaning="relative excess from the onset on"), _ONSET)
+    ),
+    meaning="from `onset` on all values are too large (> 0) or too small by a factor",
+    source="1 to 5 % between bed positions or scans",
+    change=_distorting(_stepping),
+    split_by="a phantom scanned before and after, or the scanner's log",
+)

@@ -70,6 +70,27 @@ def fit(
         Path | None,
         typer.Option(help="Regional curves: a table with frame_start, frame_end (s).", rich_help_panel=_INPUT),
     ] = None,
+    reference: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Region without specific binding, by name; repeatable (mean by volume).", rich_help_panel=_INPUT
+        ),
+    ] = None,
+    reference_mask: Annotated[
+        Path | None,
+        typer.Option("--reference-mask", help="The same as an image that is 1 there.", rich_help_panel=_INPUT),
+    ] = None,
+    dose: Annotated[
+        str | None,
+        typer.Option(
+            help="Injected dose for SUV: MBq, or which field of the sidecar to believe: stated or total.",
+            rich_help_panel=_INPUT,
+        ),
+    ] = None,
+    body_weight: Annotated[
+        float | None,
+        typer.Option("--body-weight", help="Body weight for SUV, kg. Default: the study's.", rich_help_panel=_INPUT),
+    ] = None,
     bounds: Annotated[
         list[str] | None, typer.Option(help="Bounds of a parameter, e.g. K1=0:2; repeatable.", rich_help_panel=_MODEL)
     ] = None,
@@ -86,6 +107,12 @@ def fit(
     t_star: Annotated[
         float, typer.Option("--t-star", help="Patlak and Logan use frames after this, min.", rich_help_panel=_MODEL)
     ] = 30.0,
+    window: Annotated[
+        str | None,
+        typer.Option(
+            help="SUV and SUVR average frames in START:END, min. Default: from t* to the end.", rich_help_panel=_MODEL
+        ),
+    ] = None,
     delay: Annotated[
         str,
         typer.Option(help="Blood-to-brain delay: estimate (from the whole brain), or seconds.", rich_help_panel=_MODEL),
@@ -134,6 +161,7 @@ def fit(
     from petkin.cli.parsing import (
         bounds_by_symbol,
         delay_in_minutes,
+        dose_in_mbq,
         interval,
         labels,
         numbers_by_symbol,
@@ -150,6 +178,7 @@ def fit(
         fixed=numbers_by_symbol(fix or [], option="--fix"),
         rate_bounds=interval(rates, option="--rates"),
         t_star=t_star,
+        window=None if window is None else interval(window, option="--window"),
     )
     request = FitRequest(
         target=target,
@@ -173,6 +202,10 @@ def fit(
         parent_fraction=parent_fraction,
         plasma_from=plasma_from,
         dispersion_s=dispersion,
+        reference=tuple(dict.fromkeys(reference or ())),
+        reference_mask=reference_mask,
+        dose=None if dose is None else dose_in_mbq(dose),
+        body_weight=body_weight,
         command_line=typed_command(),
     )
     with progress_bar() as step:

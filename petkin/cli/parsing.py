@@ -38,6 +38,11 @@ def delay_in_minutes(text: str) -> str | float:
     return text if text == "estimate" else _number(text, text, "--delay") / 60.0
 
 
+def dose_in_mbq(text: str) -> str | float:
+    """`stated` or `total`, or a number of MBq."""
+    return text if text in ("stated", "total") else _number(text, text, "--dose")
+
+
 def labels(given: list[str] | None, entity: str) -> tuple[str, ...]:
     """Labels of subjects or sessions, each once, with or without the `sub-` or `ses-` that files write before them."""
     return tuple(dict.fromkeys(label.removeprefix(entity) for label in given or ()))

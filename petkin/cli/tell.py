@@ -26,7 +26,7 @@ def tell_fits(fitted: Sequence[Fitted]) -> None:
     table = _table("scan", "model", "level", right=("fitted", "flagged", "median", "its SE", "delay"))
     for one in fitted:
         for outcome in one.outcomes:
-            delay = f"{round(one.fit.applied[0] * 60, 1) + 0.0:+.1f} s"  # no -0.0
+            delay = f"{round(one.fit.applied[0] * 60, 1) + 0.0:+.1f} s" if one.fit.arterial else "n/a"  # no -0.0
             table.add_row(one.fit.source.label, outcome.model, outcome.level, *_figures(outcome), delay)
     console.print(table)
     for line in _remarks(fitted):

@@ -17,6 +17,7 @@ class Choices:
         fixed: values held, by symbol.
         rate_bounds: interval of the exponentials' rates, 1/min.
         t_star: start of the linear part of a graphical method, min; None lets the curves tell.
+        window: start and end of the time that uptake values are averaged over, min; None: from t* to the end.
         share: symbols that all regions of a scan have in common.
     """
 
@@ -24,4 +25,5 @@ class Choices:
     fixed: Mapping[str, float] = field(default_factory=dict)
     rate_bounds: tuple[float, float] = (SLOWEST_RATE, FASTEST_RATE)
     t_star: float | None = 30.0
+    window: tuple[float, float] | None = None
     share: tuple[str, ...] = ()

@@ -73,3 +73,13 @@ class Given:
         if self.reference is None:
             raise InputError(f"{label} needs {Need.REFERENCE.value}, and none was named.")
         return self.reference
+
+    def suv_factor(self, label: str) -> float:
+        """Body weight over injected dose, g/kBq, for the method with this label.
+
+        Raises:
+            InputError: it is not known.
+        """
+        if self.suv is None:
+            raise InputError(f"{label} needs {Need.DOSE.value}, and they are not known.")
+        return self.suv

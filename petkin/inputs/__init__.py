@@ -14,6 +14,7 @@ from petkin.inputs.input_function import InputFunction
 from petkin.inputs.linearise import piecewise_linear
 from petkin.inputs.parent_fraction import PARENT_FRACTION_MODELS, ParentFractionFit, fit_parent_fraction
 from petkin.inputs.plasma_ratio import PLASMA_RATIO_MODELS
+from petkin.inputs.reference import Smoothest, smoothest
 from petkin.inputs.sampled import from_blood
 from petkin.inputs.table import from_table, input_table
 
@@ -23,6 +24,7 @@ __all__ = [
     "PLASMA_RATIO_MODELS",
     "InputFunction",
     "ParentFractionFit",
+    "Smoothest",
     "analytic_input",
     "dispersed",
     "exponentials",
@@ -35,5 +37,6 @@ __all__ = [
     "linear_rise",
     "paper_plasma",
     "piecewise_linear",
+    "smoothest",
     "undispersed",
 ]

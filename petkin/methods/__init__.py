@@ -7,11 +7,15 @@ from petkin.methods.compartments import compartments
 from petkin.methods.logan import LOGAN
 from petkin.methods.method import Method
 from petkin.methods.patlak import PATLAK
+from petkin.methods.suv import SUV
+from petkin.methods.suvr import SUVR
 
 METHODS = (
     *map(compartments, MODELS),
     PATLAK,
     LOGAN,
+    SUV,
+    SUVR,
 )
 
 

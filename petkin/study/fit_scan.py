@@ -15,6 +15,7 @@ from petkin.io import RegionalCurves, Remark, against_tissue, read_regions
 from petkin.io.remarks import severe, warning
 from petkin.methods import Method
 from petkin.study.mid_frame import mid_frame_shift
+from petkin.study.reference import reference_curve
 from petkin.study.request import FitRequest
 from petkin.study.series import VoxelCurves, choose_mask, extract
 from petkin.study.sources import Source
@@ -84,7 +85,7 @@ def fit_scan(source: Source, arterial: InputFunction | None, request: FitRequest
     progress("delay", 0.3)
     delay, applied, doubt = shared_delay(whole, arterial, observation, weights, request)
     arrived = None if arterial is None else arterial.delayed(applied[0])
-    given = Given(observation, weights, arrived)
+    given = Given(observation, weights, arrived, reference_curve(source, request, curves), source.suv)
     regional: list[FitResult] = []
     by_voxel: list[FitResult] = []
     shifts: list[str] = []

@@ -152,14 +152,17 @@ def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: 
 
 def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | None = None) -> dict[str, Any]:
     """Fields that all sidecars of a scan have: model, settings, delay, weights, software."""
-    delay, se = fit.applied
-    extra: dict[str, Any] = {
-        "InputDelay": round(delay * 60.0, 6),
-        "InputDelayUnits": "s",
-        "InputDelaySE": None if np.isnan(se) else round(se * 60.0, 6),
-        "Observation": request.observation,
-    }
+    extra: dict[str, Any] = {"Observation": request.observation}
+    if fit.arterial is not None:
+        delay, se = fit.applied
+        extra |= {
+            "InputDelay": round(delay * 60.0, 6),
+            "InputDelayUnits": "s",
+            "InputDelaySE": None if np.isnan(se) else round(se * 60.0, 6),
+        }
     if result is not None:
+        if "reference" in result.settings:
+            extra["ReferenceRegion"] = result.settings["reference"]
         fixed: dict[str, float] = result.settings.get("fixed", {})
         units = {estimate.symbol: estimate.unit for estimate in result.estimates}
         extra |= {

@@ -17,6 +17,7 @@ from petkin.io.checks import frame_gaps
 from petkin.io.names import SCAN_ENTITIES, FileName
 from petkin.io.remarks import warning
 from petkin.study.arterial import given_blood, remarks_on_given
+from petkin.study.dose import suv_factor
 from petkin.study.request import FitRequest
 from petkin.study.sources import Source, completed
 
@@ -41,7 +42,8 @@ def from_files(request: FitRequest) -> tuple[str, Path, tuple[Source, ...]]:
         remarks += remarks_on_given(blood, unit, frames)
     named = {k: v for k, v in FileName.parse(request.target).entities.items() if k in SCAN_ENTITIES}
     stem = re.sub(r"[^0-9A-Za-z]", "", request.target.name.partition(".")[0]) or "image"
-    given = (request.target, frames_file, *request.blood, request.tacs, request.dseg, request.mask)
+    beside = (request.tacs, request.dseg, request.mask, request.reference_mask)
+    given = (request.target, frames_file, *request.blood, *beside)
     source = Source(
         entities=named if "sub" in named else {"sub": stem},
         frames=frames,
@@ -55,6 +57,7 @@ def from_files(request: FitRequest) -> tuple[str, Path, tuple[Source, ...]]:
         remarks=tuple(remark for remark in remarks if remark.severity != Severity.NOTE),
         facts=(("Radionuclide", symbol),),
         files=tuple(path.name for path in given if path),
+        suv=suv_factor(request.target.name, None, None, request),
     )
     return stem, request.out or request.target.parent / f"{stem}-petkin", (completed(source, request),)
 

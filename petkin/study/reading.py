@@ -20,6 +20,7 @@ from petkin.io import (
 )
 from petkin.io.names import derivatives_folder, image_path, scan_folder, sidecar_path
 from petkin.study.arterial import given_blood, remarks_on_given
+from petkin.study.dose import suv_factor
 from petkin.study.plain_image import from_files
 from petkin.study.request import FitRequest
 from petkin.study.sources import Source, completed
@@ -87,6 +88,7 @@ def _from_scan(scan: Scan, request: FitRequest, of_study: Sequence[Remark]) -> S
         remarks=tuple(remark for remark in remarks if remark.severity != Severity.NOTE),
         facts=_facts(scan),
         files=tuple(_files(scan, request, image=image is not None, curves=curves)),
+        suv=suv_factor(scan.prefix, scan.sidecar, scan.body_weight, request),
     )
     return completed(source, request)
 
@@ -136,4 +138,5 @@ def _files(scan: Scan, request: FitRequest, *, image: bool, curves: RegionalCurv
         files += [f"{_RAW}{folder / name}" for name in scan.blood.where.split(", ")]
     if curves is not None and request.tacs is None:
         files.append(curves.where)
-    return files + [path.name for path in (*request.blood, request.tacs, request.dseg, request.mask) if path]
+    beside = (*request.blood, request.tacs, request.dseg, request.mask, request.reference_mask)
+    return files + [path.name for path in beside if path]

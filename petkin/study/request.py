@@ -41,6 +41,10 @@ class FitRequest:
         parent_fraction: model of the parent fraction.
         plasma_from: "plasma", or "whole_blood" where no plasma was measured.
         dispersion_s: time constant to correct autosampler blood for, s; None takes what the files state.
+        reference: names of the regions that make up the reference region.
+        reference_mask: image that is above 0 there, instead.
+        dose: MBq; or "stated" or "total", which field of the sidecar to believe; None where they agree.
+        body_weight: kg; None takes what the study states.
         command_line: what was typed, for the sidecars.
     """
 
@@ -65,6 +69,10 @@ class FitRequest:
     parent_fraction: str = "auto"
     plasma_from: str = "plasma"
     dispersion_s: float | None = None
+    reference: tuple[str, ...] = ()
+    reference_mask: Path | None = None
+    dose: str | float | None = None
+    body_weight: float | None = None
     command_line: str = ""
 
     def __post_init__(self) -> None:
@@ -77,6 +85,8 @@ class FitRequest:
         object.__setattr__(self, "models", tuple(dict.fromkeys(find_method(label).label for label in self.models)))
         check_choices(self.methods, self.choices)
         _check_numbers(self)
+        _check_reference(self)
+        _check_dose(self)
 
     @property
     def methods(self) -> tuple[Method, ...]:
@@ -110,3 +120,26 @@ def _check_numbers(request: FitRequest) -> None:
         raise InputError(f"--t-star is {t_star:g}; give minutes from injection, 0 or more.")
     if dispersion is not None and not 0 <= dispersion < math.inf:
         raise InputError(f"--dispersion is {dispersion:g}; give a time constant in seconds, 0 or more.")
+
+
+def _check_reference(request: FitRequest) -> None:
+    given = [o for o, v in (("--reference", request.reference), ("--reference-mask", request.reference_mask)) if v]
+    if len(given) > 1:
+        raise InputError("The reference region is given by --reference and by --reference-mask; choose one of them.")
+    asking = [method.label for method in request.methods if Need.REFERENCE in method.needs]
+    if asking and not given:
+        raise InputError(
+            f"{asking[0]} needs a reference region: give --reference NAME (of a region) or --reference-mask FILE."
+        )
+    if given and not asking:
+        raise InputError(f"{given[0]} is given but none of {', '.join(request.models)} uses a reference region.")
+
+
+def _check_dose(request: FitRequest) -> None:
+    dose, weight = request.dose, request.body_weight
+    if isinstance(dose, str):
+        _one_of("dose", dose, ("stated", "total"))
+    elif dose is not None and not 0 < dose < math.inf:
+        raise InputError(f"--dose is {dose:g}; give the injected activity in MBq, above 0.")
+    if weight is not None and not 0 < weight < math.inf:
+        raise InputError(f"--body-weight is {weight:g}; give kg, above 0.")

@@ -37,6 +37,7 @@ class Source:
         remarks: what was odd.
         facts: label and value, for the report.
         files: what the results come from.
+        suv: body weight over injected dose, g/kBq, where it was asked for.
     """
 
     entities: dict[str, str]
@@ -51,6 +52,7 @@ class Source:
     remarks: tuple[Remark, ...]
     facts: tuple[tuple[str, str], ...]
     files: tuple[str, ...]
+    suv: float | None = None
 
     @property
     def label(self) -> str:

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
-from petkin.fitting.sensitivity import model_jacobian, model_values
-from petkin.fitting.table import Compression
+from petkin.fitting.sensitivity import blood_values, model_jacobian, model_values
+from petkin.fitting.table import Compression, project_rows
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
 
 _MAX_STEPS = 200
-_GRID_LEVELS = 6
+_GRID_LEVELS, _WALL_LEVELS = 6, 3
 #: Below this share of a parameter's range (or its own size) a value counts as on its bound.
 ON_BOUND = 1e-7
 
@@ -66,27 +66,35 @@ def fit_in_box(
 
 def _grid_starts(model: CompartmentModel, packed: Compression, z: Array, box: ParameterSet, starts: int) -> Array:
     """The best `starts` grid points a curve (starts, N, P): rates on log levels, K1 and vB by least squares."""
-    levels = [_levels(lo, hi) for lo, hi in zip(box.lower[1:-1], box.upper[1:-1])]
+    levels = [_levels(lo, hi, n) for lo, hi, n in zip(box.lower[1:-1], box.upper[1:-1], _level_counts(model))]
     rates = np.array(list(itertools.product(*levels)))
     ones, zeros = np.ones((len(rates), 1)), np.zeros((len(rates), 1))
     unit = model_values(model, packed, np.hstack([ones, rates, zeros]))  # (G, R)
-    # The blood moves only along axis 0, so amplitude and blood are solved there in closed form.
-    norm = np.maximum((unit[:, 1:] ** 2).sum(axis=1), 1e-300)
-    amplitude = np.maximum((unit[:, 1:] @ z[1:]) / norm[:, None], 0.0)  # (G, N)
-    blood = (z[0] - amplitude * unit[:, :1]) / max(packed.blood, 1e-300)
+    vessel = blood_values(model, packed, np.hstack([ones, rates, zeros]))
+    tissue, filled = ((v**2).sum(axis=1)[:, None] for v in (unit, vessel))
+    both = (unit * vessel).sum(axis=1)[:, None]
+    on_tissue, on_blood = (project_rows(np.ascontiguousarray(v), np.ascontiguousarray(z.T)) for v in (unit, vessel))
+    apart = np.maximum(tissue * filled - both**2, 1e-300)
+    amplitude = np.maximum((filled * on_tissue - both * on_blood) / apart, 0.0)  # (G, N)
+    blood = (on_blood - amplitude * both) / np.maximum(filled, 1e-300)
     vB = np.clip(blood, box.lower[-1], min(box.upper[-1], 0.99))
     K1 = np.clip(amplitude / (1.0 - vB), box.lower[0], box.upper[0])
-    left = ((z[1:, None, :] - (K1 * (1.0 - vB))[None] * unit.T[1:, :, None]) ** 2).sum(axis=0)
-    left += (z[0] - K1 * (1.0 - vB) * unit[:, :1] - vB * packed.blood) ** 2
+    held = K1 * (1.0 - vB)
+    left = held * (held * tissue + 2.0 * (vB * both - on_tissue)) + vB * (vB * filled - 2.0 * on_blood)
     order = np.argsort(left, axis=0, kind="stable")[:starts]
     columns = np.arange(z.shape[1])
     return np.stack([np.column_stack([K1[row, columns], rates[row], vB[row, columns]]) for row in order])
 
 
-def _levels(lower: float, upper: float) -> Array:
+def _level_counts(model: CompartmentModel) -> list[int]:
+    """Levels of the tissue's rates, then of Kb."""
+    return [_GRID_LEVELS] * (model.rates - 1) + [_WALL_LEVELS] * model.wall
+
+
+def _levels(lower: float, upper: float, count: int) -> Array:
     if upper <= lower:
         return np.array([lower])
-    return np.clip(np.geomspace(max(lower, 3e-3 * min(upper, 1.0)), min(upper, 1.0), _GRID_LEVELS), lower, upper)
+    return np.clip(np.geomspace(max(lower, 3e-3 * min(upper, 1.0)), min(upper, 1.0), count), lower, upper)
 
 
 def _polish(

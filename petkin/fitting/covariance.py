@@ -15,12 +15,15 @@ from petkin.fitting import lanes
 from petkin.fitting.dual import partials
 from petkin.fitting.lanes import LANES, OWN, VECTORS
 from petkin.fitting.normal import invert, normal_equations, orthogonalise
+from petkin.fitting.sensitivity import model_jacobian
 from petkin.fitting.table import RATE_OFFSET, Compression, InnerProducts
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
 
 _STRICT = {"contract", "nsz"}
+#: Eigenvalues of a scaled normal matrix below this are rounding.
+_LEAST_EIGENVALUE = 1e-14
 #: Relative error of a pivot from which on a curve is done again.
 _LOST = 1e-6
 
@@ -67,6 +70,24 @@ def variances(
     answer = np.empty((len(held) + len(macro_chain), count))
     _run(products, list(parameters), exponentials, chain, held, macro_chain, np.empty((0, 0, count)), answer)
     return answer
+
+
+def dense_variances(
+    model: CompartmentModel, packed: Compression, parameters: Array, held: NDArray[np.bool_], macro_chain: Array
+) -> Array:
+    """The same for models beyond the five vectors: from every curve's Jacobian itself, by its eigenvalues."""
+    _, jacobian = model_jacobian(model, packed, np.ascontiguousarray(parameters.T))
+    jacobian = np.where(held.T[:, None, :] | ~np.isfinite(jacobian), 0.0, jacobian)
+    length = np.sqrt((jacobian**2).sum(axis=1))
+    scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+    scaled = jacobian * scale[:, None, :]
+    values, axes = np.linalg.eigh(np.einsum("nrp,nrq->npq", scaled, scaled))
+    felt = np.maximum(values, _LEAST_EIGENVALUE)
+    macros = np.einsum(
+        "mqn,nq,nqk->nmk", macro_chain, scale[:, : macro_chain.shape[1]], axes[:, : macro_chain.shape[1]]
+    )
+    rows = np.concatenate([scale[:, :, None] * axes, macros], axis=1)
+    return (rows**2 / felt[:, None, :]).sum(axis=2).T
 
 
 def impulse_partials(model: CompartmentModel, rates: list[Array]) -> tuple[Array, Array]:

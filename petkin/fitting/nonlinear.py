@@ -19,12 +19,15 @@ from petkin.fitting.results import Estimate, FitResult
 from petkin.fitting.search import REGIONS, Effort, search_among, search_tables
 from petkin.fitting.sensitivity import model_values
 from petkin.fitting.summary import Judge, Optimum
-from petkin.fitting.table import RATE_OFFSET, Compression, build_table, compress, project_rows
+from petkin.fitting.table import Compression, build_table, compress, project_rows
+from petkin.fitting.wall import WallTables, search_beside_wall, wall_tables
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
+
+SearchTables = Tables | OneRateTables | WallTables
 
 #: Slowest rate that a fit may use, 1/min: a half-life of 11.5 h, beyond what any scan can tell from none.
 SLOWEST_RATE = 1e-3
@@ -121,7 +124,7 @@ def _check(
 def _table_rates(settings: NonlinearSettings) -> tuple[float, float]:
     """Rates that any fit inside the box can reach; a trapping model needs the node a = 0."""
     box, (slow, fast) = settings.box, settings.rate_bounds
-    if settings.model.trapping:
+    if settings.model.trapping or settings.model.wall:
         slow = 0.0
     if _box_is_free(settings):
         return slow, fast
@@ -141,7 +144,12 @@ def _fit_shared(
     """Curves that share their weights: the free optimum of all, bounded fits of those that leave the box, a summary."""
     frames = _readable(curves).T
     best = Optimum.of(len(settings.model.parameters), len(curves))
-    tables = search_tables(settings.model, packed, settings.effort, blood=_takes_blood(settings.box))
+    blood = _takes_blood(settings.box)
+    tables = (
+        wall_tables(packed, settings.rate_bounds[0], blood=blood)
+        if settings.model.wall
+        else search_tables(settings.model, packed, settings.effort, blood=blood)
+    )
 
     def fit(rows: slice) -> _Left:
         z, sizes, best.finite[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
@@ -180,24 +188,29 @@ class _Left:
 
 
 def _free_optimum(
-    z: Array, sizes: Array, rows: slice, best: Optimum, tables: Tables | OneRateTables, settings: NonlinearSettings
+    z: Array, sizes: Array, rows: slice, best: Optimum, tables: SearchTables, settings: NonlinearSettings
 ) -> NDArray[np.bool_]:
     """Fill in the free optimum of some curves; which of them lies outside the box."""
     model, box = settings.model, settings.box
-    found = search_among(model, tables, z, sizes, settings.effort)
+    if isinstance(tables, WallTables):
+        found = search_beside_wall(model, tables, z, sizes, settings.effort)
+    else:
+        found = search_among(model, tables, z, sizes, settings.effort)
     with np.errstate(all="ignore"):
         rates = model.invert(*zip(found.phi.T, found.rate.T))
     theta = best.theta[:, rows]
-    for row, values in zip(theta, (*rates, found.vB)):
+    for row, values in zip(theta, (*rates, *([] if found.Kb is None else [found.Kb]), found.vB)):
         row[:] = values
     blood_alone = (found.phi == 0.0).all(axis=1)  # without K1 any rates will do
-    theta[:-1, blood_alone] = np.array([0.0, *box.start[1:-1]])[:, None]
+    theta[: model.rates, blood_alone] = np.array([0.0, *box.start[1 : model.rates]])[:, None]
     best.cost[rows] = np.maximum(found.cost, np.finfo(np.float64).eps * sizes)
     best.converged[rows] = found.converged
     slack = ON_BOUND * (1.0 + np.abs(box.upper))
     inside = (theta >= (box.lower - slack)[:, None]) & (theta <= (box.upper + slack)[:, None])
     theta[:] = np.clip(theta, box.lower[:, None], box.upper[:, None])
-    return best.signal[rows] & ~inside.all(axis=0)
+    # Where the best amplitude of a wall is negative, another optimum with a positive one may lie elsewhere.
+    doubtful = False if found.Kb is None else found.Kb == 0.0
+    return best.signal[rows] & (~inside.all(axis=0) | doubtful)
 
 
 def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: NonlinearSettings) -> None:
@@ -229,8 +242,10 @@ def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: N
 
 def _inside_table(theta: Array, packed: Compression, settings: NonlinearSettings) -> NDArray[np.bool_]:
     """Whether all rates lie in the table: the box alone lets one slip below the slowest, where nothing is tabulated."""
-    rates = np.stack([rate for _, rate in settings.model.impulse(*theta[:, :-1].T)], axis=1)
-    slowest, fastest = np.exp(packed.u[[0, -1]]) - RATE_OFFSET
+    rates = np.stack([rate for _, rate in settings.model.impulse(*theta[:, : settings.model.rates].T)], axis=1)
+    slowest, fastest = packed.rates[[0, -1]]
+    if settings.model.wall:  # whose own column makes the table begin at 0
+        slowest = settings.rate_bounds[0]
     return ((rates >= slowest - 1e-12) & (rates <= fastest + 1e-9)).all(axis=1)
 
 

@@ -48,13 +48,14 @@ REGIONS = Effort(nodes=160, coarse=64, size=None, tolerance=1e-12, again=1e-6, s
 
 @dataclass(frozen=True)
 class Exponentials:
-    """Signed-off exponentials of N curves, fastest first: amplitudes already divided by 1 - vB."""
+    """Signed-off exponentials of N curves, fastest first: amplitudes already divided by 1 - vB; Kb where walls trap."""
 
     phi: Array
     rate: Array
     vB: Array
     cost: Array
     converged: NDArray[np.bool_]
+    Kb: Array | None = None
 
 
 def search_exponentials(

@@ -49,28 +49,35 @@ def model_values(model: CompartmentModel, packed: Compression, parameters: Array
     """Compressed model curves (N, R) for parameters (N, P)."""
     vB = parameters[:, -1:]
     tissue = np.zeros((len(parameters), packed.size))
-    for phi, rate in model.impulse(*parameters[:, :-1].T):
+    for phi, rate in model.impulse(*parameters[:, : model.rates].T):
         tissue += phi[:, None] * read_basis(packed, rate)[0]
-    curves = (1.0 - vB) * tissue
-    curves[:, 0] += parameters[:, -1] * packed.blood
-    return curves
+    return (1.0 - vB) * tissue + vB * blood_values(model, packed, parameters)
+
+
+def blood_values(model: CompartmentModel, packed: Compression, parameters: Array) -> Array:
+    """Compressed curves (N, R) of vessels: blood, and what their walls trap (from a table that begins at a = 0)."""
+    curves = np.zeros((len(parameters), packed.size))
+    curves[:, 0] = packed.blood
+    return curves + parameters[:, -2:-1] * packed.basis[0] if model.wall else curves
 
 
 def model_jacobian(model: CompartmentModel, packed: Compression, parameters: Array) -> tuple[Array, Array]:
     """Compressed model curves (N, R) and their Jacobian (N, R, P)."""
     vB = parameters[:, -1]
-    pairs, chain = derivatives(lambda *k: tuple(v for pair in model.impulse(*k) for v in pair), parameters[:, :-1])
+    pairs, chain = derivatives(
+        lambda *k: tuple(v for pair in model.impulse(*k) for v in pair), parameters[:, : model.rates]
+    )
     jacobian = np.zeros((*pairs.shape[:1], packed.size, parameters.shape[1]))
     tissue = np.zeros((len(parameters), packed.size))
     for m in range(pairs.shape[1] // 2):
         phi, rate = pairs[:, 2 * m], pairs[:, 2 * m + 1]
         basis, slope = read_basis(packed, rate)
         tissue += phi[:, None] * basis
-        jacobian[:, :, :-1] += basis[:, :, None] * chain[:, None, 2 * m, :]
-        jacobian[:, :, :-1] += (phi[:, None] * slope)[:, :, None] * chain[:, None, 2 * m + 1, :]
-    jacobian[:, :, :-1] *= (1.0 - vB)[:, None, None]
-    jacobian[:, :, -1] = -tissue
-    jacobian[:, 0, -1] += packed.blood
-    curves = (1.0 - vB)[:, None] * tissue
-    curves[:, 0] += vB * packed.blood
-    return curves, jacobian
+        jacobian[:, :, : model.rates] += basis[:, :, None] * chain[:, None, 2 * m, :]
+        jacobian[:, :, : model.rates] += (phi[:, None] * slope)[:, :, None] * chain[:, None, 2 * m + 1, :]
+    jacobian[:, :, : model.rates] *= (1.0 - vB)[:, None, None]
+    blood = blood_values(model, packed, parameters)
+    jacobian[:, :, -1] = blood - tissue
+    if model.wall:
+        jacobian[:, :, -2] = vB[:, None] * packed.basis[0]
+    return (1.0 - vB)[:, None] * tissue + vB[:, None] * blood, jacobian

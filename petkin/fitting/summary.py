@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
 from petkin.fitting.bounded import ON_BOUND
-from petkin.fitting.covariance import impulse_partials, variances
+from petkin.fitting.covariance import dense_variances, impulse_partials, variances
 from petkin.fitting.dual import partials
 from petkin.fitting.parts import in_parts
 from petkin.fitting.results import Column, Estimate, FitResult, Status
@@ -120,7 +120,7 @@ class Judge:
 
     def _look_at(self, theta: Array, chi2: Array) -> tuple[Array, Array, NDArray[np.int16]]:
         """Parameters and macro-parameters, their percent errors, and the bounds reached, a bit each."""
-        model, rates = self.model, list(theta[:-1])
+        model, rates = self.model, list(theta[: self.model.rates])
         low, high = self._touching(theta)
         with np.errstate(all="ignore"):
             exponentials, chain = impulse_partials(model, rates)
@@ -163,11 +163,14 @@ class Judge:
         # A rate that is no longer defined (k4 where k3 = 0) must not spoil macros that do not depend on it.
         macro_chain[~np.isfinite(macro_chain)] = 0.0
         held = touching | fixed
-        variance = variances(self.packed.products, theta, exponentials, chain, held, macro_chain)
+        if self.model.wall:
+            variance = dense_variances(self.model, self.packed, theta, held, macro_chain)
+        else:
+            variance = variances(self.packed.products, theta, exponentials, chain, held, macro_chain)
         errors = np.sqrt(np.maximum(variance * chi2, 0.0))
         unfelt = (variance[: len(theta)] == 0.0) & ~held
         if unfelt.any():
-            spoilt = ((macro_chain != 0.0) & unfelt[None, :-1]).any(axis=1)
+            spoilt = ((macro_chain != 0.0) & unfelt[None, : self.model.rates]).any(axis=1)
             errors[np.concatenate([unfelt, spoilt])] = np.inf
         errors[: len(theta)][touching] = np.nan
         return errors

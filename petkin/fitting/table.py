@@ -137,6 +137,11 @@ class Compression:
     def size(self) -> int:
         return self.basis.shape[1]
 
+    @property
+    def rates(self) -> Array:
+        """Rates at the nodes, 1/min."""
+        return np.exp(self.u) - RATE_OFFSET
+
     @cached_property
     def products(self) -> InnerProducts:
         """Inner products of all nodes, for readings between them."""

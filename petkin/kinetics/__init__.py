@@ -4,8 +4,9 @@ from petkin.errors import InputError
 from petkin.kinetics.compartment import BLOOD_VOLUME, CompartmentModel, Macro
 from petkin.kinetics.one_tissue import ONE_TISSUE
 from petkin.kinetics.two_tissue import TWO_TISSUE, TWO_TISSUE_TRAPPING
+from petkin.kinetics.vascular_trapping import VASCULAR_TRAPPING
 
-MODELS = (ONE_TISSUE, TWO_TISSUE, TWO_TISSUE_TRAPPING)
+MODELS = (ONE_TISSUE, TWO_TISSUE, TWO_TISSUE_TRAPPING, VASCULAR_TRAPPING)
 
 
 def compartment_model(label: str) -> CompartmentModel:
@@ -26,6 +27,7 @@ __all__ = [
     "ONE_TISSUE",
     "TWO_TISSUE",
     "TWO_TISSUE_TRAPPING",
+    "VASCULAR_TRAPPING",
     "CompartmentModel",
     "Macro",
     "compartment_model",

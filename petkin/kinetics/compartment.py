@@ -3,6 +3,8 @@
     C_T(t)   = sum_i phi_i e^{-a_i t} * C_P(t),  phi_i >= 0, a_i >= 0        tissue
     C(t)     = (1 - vB) C_T(t) + vB C_B(t)                                   what a voxel holds
 
+Where vessel walls trap tracer as well, blood is not C_B alone but C_B(t) + Kb int_0^t C_P ds.
+
 A model is one `CompartmentModel`: its parameters, the map from rate constants to (phi, a) and back, its differential
 equation and its macro-parameters. The maps are plain arithmetic, so that they serve torch (gradients), numpy, and
 complex numbers (derivatives by complex step) alike.
@@ -52,14 +54,15 @@ class CompartmentModel:
         name: what it is called in full.
         equation: the differential equation as text.
         reference: where it comes from.
-        parameters: rate constants in order, then vB.
+        parameters: rate constants of the tissue in order, then Kb where vessel walls trap, then vB.
         states: names of the compartments.
         free_rates: how many a_i are free.
         trapping: whether one more exponential has a = 0 (irreversible uptake).
         impulse: rate constants -> exponentials, fastest first.
         invert: exponentials, fastest first -> rate constants.
         field: (state[*b, d], plasma[*b], rate constants[*b, P - 1]) -> d state/dt[*b, d].
-        macros: derived quantities.
+        macros: derived quantities, from the rate constants of the tissue.
+        wall: whether vessel walls trap tracer, at a rate Kb.
     """
 
     label: str
@@ -74,6 +77,12 @@ class CompartmentModel:
     invert: Callable[..., tuple[Any, ...]]
     field: Callable[[Tensor, Tensor, Tensor], Tensor]
     macros: tuple[Macro, ...]
+    wall: bool = False
+
+    @property
+    def rates(self) -> int:
+        """How many parameters are rate constants of the tissue; they come first."""
+        return len(self.parameters) - 1 - self.wall
 
     @property
     def quantities(self) -> tuple[Parameter | Macro, ...]:
@@ -82,18 +91,18 @@ class CompartmentModel:
 
     @property
     def system(self) -> System:
-        """The tissue for `petkin.dynamics.solve`: states C_i from zero, forcing C_P, parameters all but vB."""
+        """The tissue for `petkin.dynamics.solve`: states C_i from zero, forcing C_P, parameters the rate constants."""
 
         def field(t: Tensor, state: Tensor, plasma: Tensor | None, p: Tensor) -> Tensor:
             return self.field(state, state.new_zeros(()) if plasma is None else plasma, p)
 
-        rates = ParameterSet(self.parameters.members[:-1])
+        rates = ParameterSet(self.parameters.members[: self.rates])
         initial = (0.0,) * len(self.states)
         return System(self.label, self.states, rates, field, initial)
 
     def exponentials(self, parameters: Float[Tensor, "*b P"]) -> tuple[Float[Tensor, "*b m"], Float[Tensor, "*b m"]]:
         """phi_i (mL/cm3/min) and a_i (1/min) of the tissue's impulse response."""
-        pairs = self.impulse(*parameters[..., :-1].unbind(-1))
+        pairs = self.impulse(*parameters[..., : self.rates].unbind(-1))
         shape = parameters.shape[:-1]
         phi = torch.stack([torch.as_tensor(p, dtype=parameters.dtype).expand(shape) for p, _ in pairs], dim=-1)
         rate = torch.stack([torch.as_tensor(a, dtype=parameters.dtype).expand(shape) for _, a in pairs], dim=-1)
@@ -105,9 +114,11 @@ class CompartmentModel:
         return (phi[..., None] * plasma.response(rate, t)).sum(dim=-2)
 
     def curve(self, parameters: Float[Tensor, "*b P"], arterial: InputFunction, t: Float[Tensor, " times"]) -> Tensor:
-        """C(t) = (1 - vB) C_T(t) + vB C_B(t), kBq/mL; shape (*b, times)."""
-        vB = parameters[..., -1:]
-        return (1.0 - vB) * self.tissue(parameters, arterial.plasma, t) + vB * arterial.whole_blood(t)
+        """C(t), kBq/mL; shape (*b, times)."""
+        vB, blood = parameters[..., -1:], arterial.whole_blood(t)
+        if self.wall:
+            blood = blood + parameters[..., -2:-1] * arterial.plasma.integral(t)
+        return (1.0 - vB) * self.tissue(parameters, arterial.plasma, t) + vB * blood
 
     def frame_values(
         self, parameters: Float[Tensor, "*b P"], arterial: InputFunction, observation: FrameObservation
@@ -116,9 +127,12 @@ class CompartmentModel:
         phi, rate = self.exponentials(parameters)
         vB = parameters[..., -1:]
         tissue = (phi[..., None] * observation.of_response(arterial.plasma, rate)).sum(dim=-2)
-        return (1.0 - vB) * tissue + vB * observation.of_forcing(arterial.whole_blood)
+        blood = observation.of_forcing(arterial.whole_blood)
+        if self.wall:
+            blood = blood + parameters[..., -2:-1] * observation.of_response(arterial.plasma, rate.new_zeros(()))
+        return (1.0 - vB) * tissue + vB * blood
 
     def macro(self, parameters: Float[Tensor, "*b P"]) -> dict[str, Tensor]:
         """Macro-parameters by symbol, each of shape (*b)."""
-        rates = parameters[..., :-1].unbind(-1)
+        rates = parameters[..., : self.rates].unbind(-1)
         return {m.symbol: m.formula(*rates) for m in self.macros}

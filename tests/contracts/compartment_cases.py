@@ -66,6 +66,11 @@ def all_draws(model: CompartmentModel) -> Array:
     return np.vstack([draw(model, 12), nearly_equal(model), at_poles(model)])
 
 
+def rates_of(model: CompartmentModel, parameters: Array) -> Array:
+    """The rate constants of the tissue alone."""
+    return parameters[..., : model.rates]
+
+
 def tissue(model: CompartmentModel, parameters: Array, forcing, times: Array = TIMES) -> Array:
     return model.tissue(torch.tensor(parameters), forcing, torch.tensor(times)).numpy()
 

@@ -29,6 +29,7 @@ from .compartment_cases import (
     draw,
     frames,
     nearly_equal,
+    rates_of,
     tissue,
 )
 from .independent_solutions import by_matrix_exponential, by_modes, by_ode, by_recursion, linear_form
@@ -41,12 +42,12 @@ CLOSE = 1e-8
 class TestAgainstIndependentSolutions:
     def test_matrix_exponential_of_a_piecewise_linear_input(self, model):
         for p in all_draws(model):
-            expected = by_matrix_exponential(*linear_form(model, p[:-1]), KNOTS, VALUES, TIMES)
+            expected = by_matrix_exponential(*linear_form(model, rates_of(model, p)), KNOTS, VALUES, TIMES)
             np.testing.assert_allclose(tissue(model, p, SAMPLES), expected, rtol=1e-11)
 
     def test_matrix_exponential_of_an_exponential_input_and_its_poles(self, model):
         for p in all_draws(model):
-            expected = by_modes(*linear_form(model, p[:-1]), TERMS, 0.735, TIMES)
+            expected = by_modes(*linear_form(model, rates_of(model, p)), TERMS, 0.735, TIMES)
             np.testing.assert_allclose(tissue(model, p, BOLUS), expected, rtol=1e-10, atol=1e-13)
 
     def test_runge_kutta_of_the_differential_equation(self, model):
@@ -54,7 +55,7 @@ class TestAgainstIndependentSolutions:
             return sum(c * (t - 0.735) ** n * math.exp(e * (t - 0.735)) for c, e, n in TERMS)
 
         for p in np.vstack([draw(model, 3, seed=3), nearly_equal(model)[-1:], at_poles(model)[:1]]):
-            A, b = linear_form(model, p[:-1])
+            A, b = linear_form(model, rates_of(model, p))
             expected = by_ode(A, b, lambda t: float(np.interp(t, KNOTS, VALUES)), KNOTS, TIMES)
             np.testing.assert_allclose(tissue(model, p, SAMPLES), expected, rtol=CLOSE)
             expected = by_ode(A, b, bolus, np.array([0.735]), TIMES[1:])
@@ -63,9 +64,9 @@ class TestAgainstIndependentSolutions:
     def test_the_field_is_linear_in_state_and_plasma(self, model):
         rng = np.random.default_rng(0)
         for p in draw(model, 5, seed=13):
-            A, b = linear_form(model, p[:-1])
+            A, b = linear_form(model, rates_of(model, p))
             state, u = rng.uniform(0.0, 50.0, len(b)), np.float64(rng.uniform(0.0, 50.0))
-            found = model.field(torch.tensor(state), torch.as_tensor(u), torch.tensor(p[:-1])).numpy()
+            found = model.field(torch.tensor(state), torch.as_tensor(u), torch.tensor(rates_of(model, p))).numpy()
             np.testing.assert_allclose(found, A @ state + b * u, rtol=1e-12)
 
     def test_the_engine_s_own_solver(self, model):
@@ -74,7 +75,7 @@ class TestAgainstIndependentSolutions:
             model.label,
             model.states,
             model.parameters,
-            lambda t, state, u, k: model.field(state, u, k[..., :-1]),
+            lambda t, state, u, k: model.field(state, u, k[..., : model.rates]),
             (0.0,) * len(model.states),
         )
         times = torch.tensor(TIMES[:5])
@@ -110,6 +111,17 @@ class TestAgainstIndependentSolutions:
                 frames(model, p, ARTERIAL, FrameObservation(SCHEDULE, decay)), expected, rtol=1e-9, atol=1e-9
             )
 
+    def test_blood_fills_the_vessels_and_plasma_is_trapped_in_their_walls(self, model):
+        """The rest of a curve, beside (1 - vB) of the tissue: by Runge-Kutta of dC_W/dt = Kb C_P."""
+        plasma = lambda t: float(np.interp(t, KNOTS, VALUES))  # noqa: E731
+        trapped = by_ode(np.zeros((1, 1)), np.ones(1), plasma, KNOTS, TIMES)
+        for p in draw(model, 5, seed=14):
+            vB = p[-1]
+            vessels = np.interp(TIMES, KNOTS, 0.8 * VALUES) + (p[-2] * trapped if model.wall else 0.0)
+            expected = (1.0 - vB) * tissue(model, p, SAMPLES) + vB * vessels
+            found = model.curve(torch.tensor(p), ARTERIAL, torch.tensor(TIMES)).numpy()
+            np.testing.assert_allclose(found, expected, rtol=1e-9)
+
 
 @EVERY_MODEL
 class TestMacroParameters:
@@ -118,7 +130,7 @@ class TestMacroParameters:
         level = 7.0
         constant = PiecewiseLinear(torch.tensor([0.0], dtype=torch.float64), torch.tensor([level], dtype=torch.float64))
         macro = {symbol: value.numpy() for symbol, value in model.macro(torch.tensor(p)).items()}
-        late = tissue(model, p, constant, np.array([9000.0, 9001.0]))
+        late = tissue(model, p, constant, np.array([90000.0, 90001.0]))
         if model.trapping:
             np.testing.assert_allclose(late[:, 1] - late[:, 0], macro["Ki"] * level, rtol=1e-9)
         else:
@@ -128,7 +140,7 @@ class TestMacroParameters:
         if model.trapping:
             pytest.skip("an irreversible model has no steady state")
         for p in draw(model, 8, seed=8):
-            A, b = linear_form(model, p[:-1])
+            A, b = linear_form(model, rates_of(model, p))
             VT = float(model.macro(torch.tensor(p))["VT"])
             assert -np.linalg.solve(A, b).sum() == pytest.approx(VT, rel=1e-10)
 
@@ -149,7 +161,7 @@ class TestExponentials:
         p = draw(model, 40, seed=9)
         phi, rate = (v.numpy() for v in model.exponentials(torch.tensor(p)))
         back = np.stack(model.invert(*[(phi[:, m], rate[:, m]) for m in range(phi.shape[1])]), axis=1)
-        np.testing.assert_allclose(back, p[:, :-1], rtol=1e-9)
+        np.testing.assert_allclose(back, rates_of(model, p), rtol=1e-9)
 
     def test_exponentials_return_from_rate_constants(self, model):
         rng = np.random.default_rng(10)

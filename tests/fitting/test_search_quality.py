@@ -88,8 +88,11 @@ def test_voxels_reach_the_best_known_cost(share):
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda m: m.label)
 def test_no_effort_beats_the_other_by_much(model):
-    """At 10 percent noise rates meet the ends of their interval; the polish once stopped there at a coarse node."""
-    truth = np.array([[*[0.12, 0.12, 0.06, 0.03][: len(model.parameters) - 1], 0.05]])
+    """At 10 percent noise rates meet the ends of their interval; the polish once stopped there at a coarse node.
+
+    A wall beside two tissues is one column more of nearly the same shape: one voxel in a hundred misses its best.
+    """
+    truth = np.array([[*[0.12, 0.12, 0.06, 0.03][: model.rates], 0.05]])
     clean = frame_averages(model.label, truth)
     sd = counting_sd(clean, 0.1)
     curves = clean + sd * np.random.default_rng(5).standard_normal((1000, clean.shape[1]))
@@ -98,7 +101,8 @@ def test_no_effort_beats_the_other_by_much(model):
         for e in (REGIONS, VOXELS)
     )
     assert (hard > quick * (1 + 1e-4)).sum() <= 1
-    assert (quick > hard * (1 + 1e-3)).mean() <= 0.005
+    assert (quick > hard * (1 + 1e-3)).mean() <= (0.01 if model.wall else 0.005)
+    assert (quick > hard * (1 + 1e-2)).mean() <= 0.005
 
 
 def test_a_region_fit_keeps_to_the_interval_of_rates():

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
+from petkin.errors import InputError
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings, plan
 from petkin.study.simulation.scene import scene, voxel_values
@@ -189,3 +190,8 @@ def test_second_tissue_changes_the_truth_that_is_written(tmp_path: Path) -> None
     )
     np.testing.assert_allclose(table["k3"], 0.06)
     np.testing.assert_allclose(table["VT"], table["K1"] / table["k2"] * 4, rtol=1e-8)
+
+
+def test_vessel_walls_are_in_no_population(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="2TCM1k cannot be simulated: there is no Kb"):
+        plan(SimulationSettings(preset="physical", out=tmp_path, model="2TCM1k"))

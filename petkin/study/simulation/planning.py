@@ -90,9 +90,12 @@ def tissue_model(settings: SimulationSettings) -> CompartmentModel:
     """The tissue model that the settings ask for, or the tracer's own.
 
     Raises:
-        InputError: no such model or tracer.
+        InputError: no such model or tracer, or vessel walls, of which populations of kinetics know nothing.
     """
-    return compartment_model(settings.model or _population(settings).model)
+    model = compartment_model(settings.model or _population(settings).model)
+    if model.wall:
+        raise InputError(f"{model.label} cannot be simulated: there is no Kb in any population; use 2TCM.")
+    return model
 
 
 def _population(settings: SimulationSettings) -> Population:

@@ -1,0 +1,311 @@
+"""Weighted linear least squares a curve, where columns of the design may be made from the curve itself.
+
+Every graphical and multilinear method is one equation that is linear in its unknowns,
+
+    R y = sum_i theta_i X_i + sum_j theta_j O_j y,    frames of weight > 0,
+
+y the curve, X_i columns that all curves have in common (integrals of the input, a reference region), O_j and R linear
+operators on the frames (the curve itself, its integrals). Each curve's columns are orthogonalised by modified
+Gram-Schmidt, those in common once beforehand and the response last: as stable as a QR decomposition, sums of squares
+without cancellation, and no array of the size of a curve outside the cache.
+
+Reference: Bjorck A. Solving linear least squares problems by Gram-Schmidt orthogonalization. BIT 1967;7:1-21,
+doi:10.1007/BF01934122.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from petkin.errors import InputError
+
+Array = NDArray[np.float64]
+
+#: Curves in step. As in `lanes`, no loop that rounds has a remainder that might round another way; rows of lanes are
+#: passed by number, never as views, which cost more than the sums over them.
+_LANES = 64
+_STRICT = {"contract", "nsz"}
+#: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
+_LARGEST = 1e30
+#: A column whose part outside the span of the others is shorter than this share of it says nothing new.
+_INDEPENDENT = 1e-12
+
+
+@dataclass(frozen=True)
+class LinearDesign:
+    """One equation of the module; the unknowns are those of `shared`, then those of `own`.
+
+    Args:
+        shared: columns X that all curves have in common (S, K).
+        own: operators O that make a curve's own columns, (J, K, K): column j of a curve y is own[j] @ y.
+        response: operator R (K, K).
+        weights: of the equations (K,), >= 0; where zero, a frame is left out.
+        offset: taken off every curve first (K,), kBq/mL, such as the blood in it.
+        scale: multiplies what is left.
+    """
+
+    shared: Array
+    own: Array
+    response: Array
+    weights: Array
+    offset: Array
+    scale: float = 1.0
+
+    @property
+    def used(self) -> NDArray[np.intp]:
+        """Frames that take part."""
+        return np.flatnonzero(self.weights > 0)
+
+    @property
+    def unknowns(self) -> int:
+        return len(self.shared) + len(self.own)
+
+
+@dataclass(frozen=True)
+class LinearSolutions:
+    """What came of n curves.
+
+    Args:
+        theta: unknowns (p, n); not finite where the columns of a curve depend on each other.
+        covariance: inverse of the normal matrix (p, p, n); times the variance of unit weight it is their covariance.
+        wrss: weighted residual sum of squares (n,).
+        total: sum of a curve's values over all frames (n,).
+        finite: whether all values of a curve are numbers (n,).
+    """
+
+    theta: Array
+    covariance: Array
+    wrss: Array
+    total: Array
+    finite: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class LinearSolver:
+    """A design made ready: `prepare` it once, solve for as many curves as there are.
+
+    Args:
+        operators: own columns and last the response, over used frames, times root weights (J + 1, U, K).
+        spans: first and one past the last frame that a row of them reads (J + 1, U, 2).
+        axes: orthonormal axes of the shared columns (S, U).
+        inverse: what makes the shared unknowns from components along the axes (S, S).
+        offset, scale: as in `LinearDesign`.
+    """
+
+    operators: Array
+    spans: NDArray[np.intp]
+    axes: Array
+    inverse: Array
+    offset: Array
+    scale: float
+
+    @classmethod
+    def prepare(cls, design: LinearDesign, label: str) -> LinearSolver:
+        """What all curves have in common.
+
+        Raises:
+            InputError: too few frames, or columns in common that depend on each other.
+        """
+        used = design.used
+        if len(used) <= design.unknowns:
+            raise InputError(
+                f"{label} has {design.unknowns} unknowns but only {len(used)} frames to tell them from; "
+                "an error needs one more: use more frames."
+            )
+        root = np.sqrt(design.weights[used])
+        operators = np.concatenate([design.own, design.response[None]])[:, used] * root[:, None]
+        axes, upper = np.linalg.qr((design.shared[:, used] * root).T)
+        diagonal, lengths = np.abs(np.diag(upper)), np.sqrt((upper**2).sum(axis=0))
+        if not (diagonal > _INDEPENDENT * lengths).all():
+            raise InputError(
+                f"{label}: the input says nothing in the {len(used)} frames used (it is zero there, or not finite, or "
+                "its integrals are multiples of each other); check the input function and its times."
+            )
+        spans = np.stack([_first(operators != 0), operators.shape[2] - _first(operators[:, :, ::-1] != 0)], axis=-1)
+        inverse = np.linalg.inv(upper) if len(upper) else np.empty((0, 0))
+        return cls(
+            np.ascontiguousarray(operators), spans, np.ascontiguousarray(axes.T), inverse, design.offset, design.scale
+        )
+
+    def solve(self, frames: NDArray[np.floating], rows: slice) -> LinearSolutions:
+        """Unknowns of some of the curves (K, N), float32 or float64, frames first; `rows` has a start and a stop."""
+        n, unknowns = rows.stop - rows.start, len(self.axes) + len(self.operators) - 1
+        answer = LinearSolutions(
+            np.empty((unknowns, n)),
+            np.empty((unknowns, unknowns, n)),
+            np.empty(n),
+            np.empty(n),
+            np.empty(n, np.bool_),
+        )
+        vectors, used, frames_in_all = self.operators.shape
+        lanes = _scratch(frames_in_all, vectors, used, unknowns)
+        _solve(
+            frames,
+            rows.start,
+            self.offset,
+            self.scale,
+            self.operators,
+            self.spans,
+            self.axes,
+            self.inverse,
+            lanes,
+            (answer.theta, answer.covariance, answer.wrss, answer.total, answer.finite),
+        )
+        return answer
+
+
+def _first(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Place of the first true value along the last axis; 0 where there is none."""
+    return np.argmax(flags, axis=-1)
+
+
+def _scratch(frames: int, vectors: int, used: int, unknowns: int) -> tuple[Array, ...]:
+    """Curves, vectors, their components, their lengths, triangular inverse, sums: rows of lanes."""
+    rows = frames, vectors * used, vectors * unknowns, vectors, unknowns * unknowns, 2
+    return tuple(np.zeros((count, _LANES)) for count in rows)
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _solve(frames, start, offset, scale, operators, spans, axes, inverse, lanes, answer):
+    y, vectors, parts, lengths, triangle, sums = lanes
+    theta, covariance, wrss, total, finite = answer
+    shared, unknowns, last = axes.shape[0], theta.shape[0], operators.shape[0] - 1
+    for first in range(0, len(wrss), _LANES):
+        width = min(_LANES, len(wrss) - first)
+        here = slice(first, first + width)
+        _read(frames[:, start + first : start + first + width], offset, scale, y, sums)
+        total[here] = sums[0, :width]
+        finite[here] = sums[1, :width] == 0.0
+        for v in range(last + 1):
+            _apply(operators[v], spans[v], y, vectors, v)
+            _orthogonalise(v, vectors, axes, parts, lengths, sums)
+        _invert(parts, inverse, triangle, unknowns)
+        for i in range(unknowns):
+            _inner(triangle, i * unknowns, parts, last * unknowns, unknowns, sums, 0)
+            theta[i, here] = sums[0, :width]
+            for m in range(i + 1):
+                _covariance(triangle, i * unknowns, m * unknowns, lengths, shared, unknowns, sums)
+                covariance[i, m, here] = sums[0, :width]
+                if m < i:
+                    covariance[m, i, here] = sums[0, :width]
+        wrss[here] = lengths[last, :width]
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _read(block, offset, scale, y, sums):
+    """Curves without their offset; in `sums`, the total of each and how many of its values are no numbers."""
+    for n in range(_LANES):
+        sums[0, n], sums[1, n] = 0.0, 0.0
+    for k in range(block.shape[0]):
+        for n in range(block.shape[1]):
+            y[k, n] = block[k, n]
+        for n in range(_LANES):
+            sums[0, n] += y[k, n]
+        for n in range(_LANES):
+            sums[1, n] += 0.0 if abs(y[k, n]) < _LARGEST else 1.0
+        for n in range(_LANES):
+            y[k, n] = (y[k, n] - offset[k]) * scale
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _apply(operator, spans, y, vectors, v):
+    """Vector v of every curve: operator times curve."""
+    used = operator.shape[0]
+    for u in range(used):
+        _combine(operator, u, spans[u, 0], spans[u, 1], y, 0, vectors, v * used + u)
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _combine(matrix, row, begin, end, x, base, out, at):
+    """out[at] = sum_k matrix[row, k] x[base + k], begin <= k < end."""
+    for n in range(_LANES):
+        out[at, n] = 0.0
+    k = begin
+    while k + 4 <= end:
+        a, b, c, d = matrix[row, k], matrix[row, k + 1], matrix[row, k + 2], matrix[row, k + 3]
+        i = base + k
+        for n in range(_LANES):
+            out[at, n] += (a * x[i, n] + b * x[i + 1, n]) + (c * x[i + 2, n] + d * x[i + 3, n])
+        k += 4
+    while k < end:
+        for n in range(_LANES):
+            out[at, n] += matrix[row, k] * x[base + k, n]
+        k += 1
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _inner(x, i, y, j, count, out, at):
+    """out[at] = sum_u x[i + u] y[j + u]."""
+    for n in range(_LANES):
+        out[at, n] = 0.0
+    for u in range(count):
+        for n in range(_LANES):
+            out[at, n] += x[i + u, n] * y[j + u, n]
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _orthogonalise(v, vectors, axes, parts, lengths, sums):
+    """Vector v without its components along the axes and the vectors before it; `lengths`, squared, what is left."""
+    shared, used = axes.shape
+    own, part = v * used, v * (parts.shape[0] // lengths.shape[0])
+    _inner(vectors, own, vectors, own, used, sums, 0)
+    for s in range(shared):
+        _combine(axes, s, 0, used, vectors, own, parts, part + s)
+        for u in range(used):
+            for n in range(_LANES):
+                vectors[own + u, n] -= axes[s, u] * parts[part + s, n]
+    for j in range(v):
+        at = part + shared + j
+        _inner(vectors, j * used, vectors, own, used, parts, at)
+        for n in range(_LANES):
+            parts[at, n] /= lengths[j, n]
+        for u in range(used):
+            for n in range(_LANES):
+                vectors[own + u, n] -= vectors[j * used + u, n] * parts[at, n]
+    _inner(vectors, own, vectors, own, used, lengths, v)
+    if v < lengths.shape[0] - 1:
+        for n in range(_LANES):
+            new = lengths[v, n] > _INDEPENDENT * _INDEPENDENT * sums[0, n]
+            lengths[v, n] = lengths[v, n] if new else np.nan
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _invert(parts, inverse, triangle, unknowns):
+    """Inverse of the triangular matrix that makes the columns from the orthogonal vectors."""
+    shared = inverse.shape[0]
+    for i in range(unknowns):
+        for j in range(unknowns):
+            fixed = inverse[i, j] if i < shared and j < shared else (1.0 if i == j else 0.0)
+            for n in range(_LANES):
+                triangle[i * unknowns + j, n] = fixed
+    for j in range(shared, unknowns):
+        for i in range(j - 1, -1, -1):
+            at = i * unknowns + j
+            for m in range(max(shared, i + 1), j + 1):
+                _subtract_product(triangle, at, parts, (m - shared) * unknowns + i, m * unknowns + j)
+        for i in range(shared):  # from components along the axes to unknowns; rows below still hold components
+            at = i * unknowns + j
+            for n in range(_LANES):
+                triangle[at, n] *= inverse[i, i]
+            for m in range(i + 1, shared):
+                for n in range(_LANES):
+                    triangle[at, n] += inverse[i, m] * triangle[m * unknowns + j, n]
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _subtract_product(triangle, at, parts, i, j):
+    for n in range(_LANES):
+        triangle[at, n] -= parts[i, n] * triangle[j, n]
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _covariance(triangle, i, m, lengths, shared, unknowns, sums):
+    """Sum of products of two rows of the inverse over squared lengths, which are 1 along the axes."""
+    _inner(triangle, i, triangle, m, shared, sums, 0)
+    for j in range(shared, unknowns):
+        for n in range(_LANES):
+            sums[0, n] += triangle[i + j, n] * triangle[m + j, n] / lengths[j - shared, n]

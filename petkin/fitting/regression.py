@@ -1,0 +1,194 @@
+"""A method that is a linear regression of every curve: from its equation to estimates, errors, status, fitted curves.
+
+design = LinearDesign(shared, own, response, weights, offset, scale)      the equation, see `linear`
+result = fit_linear(curves, design, Regression(label, quantities, read), settings={...}, keep_predicted=True)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.errors import InputError
+from petkin.fitting.curves import check_shapes
+from petkin.fitting.linear import LinearDesign, LinearSolutions, LinearSolver
+from petkin.fitting.parts import in_parts
+from petkin.fitting.results import Estimate, FitResult, Status
+
+Array = NDArray[np.float64]
+
+#: Curves whose intermediate results stay in the cache together.
+_BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a regression tells: symbol, unit, what it is in words."""
+
+    symbol: str
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Regression:
+    """What the unknowns mean.
+
+    Args:
+        label: of the method.
+        quantities: M of them; the first is what the method is used for.
+        read: unknowns (p, n) to values (M, n) and their derivatives (M, p, n); None where quantities are the first
+            unknowns themselves.
+    """
+
+    label: str
+    quantities: tuple[Quantity, ...]
+    read: Callable[[Array], tuple[Array, Array]] | None = None
+
+
+def fit_linear(
+    curves: NDArray[np.floating],
+    design: LinearDesign,
+    regression: Regression,
+    *,
+    settings: dict[str, Any],
+    keep_predicted: bool,
+) -> FitResult:
+    """Every curve's regression.
+
+    Args:
+        curves: (N, K), kBq/mL, float32 or float64; memory with frames first is read without a copy.
+        design: the equation; its weights are those of the equation's frames, zero where one is left out.
+        regression: what the unknowns mean.
+        settings: what was chosen, for sidecars; `frames_used` is added.
+        keep_predicted: return fitted curves; NaN in frames that are left out.
+
+    Returns:
+        Estimates; percent errors by the delta method from the covariance of the unknowns scaled by WRSS / (n - p),
+        which counts the noise of the response alone; chi-square and AICc of the regression; status.
+
+    Raises:
+        InputError: shapes do not match, frames are too few, or columns in common depend on each other.
+    """
+    curves = np.asarray(curves)
+    check_shapes(curves, design.weights, len(design.offset))
+    solver = LinearSolver.prepare(design, regression.label)
+    frames = _frames_first(curves)
+    answer = _Answer.of(len(regression.quantities), len(curves), len(design.used), design.unknowns)
+
+    def fit(part: slice) -> None:
+        for start in range(part.start, part.stop, _BLOCK):
+            rows = slice(start, min(start + _BLOCK, part.stop))
+            answer.fill(rows, solver.solve(frames, rows), regression)
+
+    with np.errstate(all="ignore"):
+        in_parts(fit, len(curves))
+        predicted = _predict(frames, design, solver, answer) if keep_predicted else None
+    return FitResult(
+        model=regression.label,
+        estimates=tuple(
+            Estimate(q.symbol, q.unit, value, percent_se, q.meaning)
+            for q, value, percent_se in zip(regression.quantities, answer.values, answer.percent_se)
+        ),
+        chi2=answer.chi2,
+        aicc=answer.aicc,
+        status=answer.status,
+        weights=design.weights,
+        predicted=predicted,
+        settings={**settings, "frames_used": len(design.used)},
+    )
+
+
+def one_weight_a_frame(weights: Array, label: str) -> Array:
+    """The weights, if they are one a frame.
+
+    Raises:
+        InputError: every curve has its own.
+    """
+    weights = np.asarray(weights, np.float64)
+    if weights.ndim != 1:
+        raise InputError(f"{label} takes one weight a frame, shared by all curves; give one row of weights.")
+    return weights
+
+
+def _frames_first(curves: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Curves (K, N), a frame's values side by side, in a type that the compiled pass reads."""
+    native = curves.dtype in (np.float32, np.float64) and curves.dtype.isnative
+    return np.ascontiguousarray(curves.T, None if native else np.float64)
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Arrays that are filled block by block."""
+
+    values: Array
+    percent_se: Array
+    chi2: Array
+    aicc: Array
+    status: NDArray[np.uint8]
+    used: int
+    unknowns: int
+
+    @classmethod
+    def of(cls, quantities: int, curves: int, used: int, unknowns: int) -> _Answer:
+        values, percent_se = np.empty((2, quantities, curves))
+        chi2, aicc = np.empty((2, curves))
+        return cls(values, percent_se, chi2, aicc, np.empty(curves, np.uint8), used, unknowns)
+
+    def fill(self, rows: slice, solved: LinearSolutions, regression: Regression) -> None:
+        """Estimates, errors and status of some curves; what must not be used is NaN."""
+        with np.errstate(all="ignore"):
+            values, variances = _read(solved, regression)
+            freedom, p = self.used - self.unknowns, self.unknowns + 1
+            percent = self.percent_se[:, rows]
+            np.divide(np.sqrt(variances * (solved.wrss / freedom)), np.abs(values), out=percent)
+            percent *= 100.0
+            fit, told = np.isfinite(values[0]), percent[0] <= 100.0
+            good = solved.finite & (solved.total > 0.0)
+            self.values[:, rows] = values
+            np.divide(solved.wrss, freedom, out=self.chi2[rows])
+            penalty = 2 * p + (2 * p * (p + 1) / (self.used - p - 1) if self.used > p + 1 else np.nan)
+            self.aicc[rows] = self.used * np.log(solved.wrss / self.used) + penalty
+        status = self.status[rows]
+        status[:] = np.where(fit & told, Status.OK, Status.NOT_IDENTIFIABLE)
+        if not good.all():
+            status[solved.total <= 0.0] = Status.NO_SIGNAL
+            status[~solved.finite] = Status.NOT_FINITE
+        if not (good & fit).all():
+            empty = ~(good & fit)
+            self.values[:, rows][:, empty] = np.nan
+            percent[:, empty] = np.nan
+            self.chi2[rows][empty] = np.nan
+            self.aicc[rows][empty] = np.nan
+
+
+def _read(solved: LinearSolutions, regression: Regression) -> tuple[Array, Array]:
+    """Values (M, n) of the quantities and the variances of them (M, n) at unit weight."""
+    if regression.read is None:
+        count = len(regression.quantities)
+        return solved.theta[:count], np.stack([solved.covariance[i, i] for i in range(count)])
+    values, slopes = regression.read(solved.theta)
+    return values, np.einsum("mpn,pqn,mqn->mn", slopes, solved.covariance, slopes)
+
+
+def _predict(frames: NDArray[np.floating], design: LinearDesign, solver: LinearSolver, answer: _Answer) -> Array:
+    """Fitted frame values (N, K): the equation solved for the curve itself, where it stands outside all integrals."""
+    curves = np.asarray(frames, np.float64).T
+    tissue = (curves - design.offset) * design.scale
+    theta = solver.solve(frames, slice(0, len(curves))).theta
+    left = tissue @ design.response.T - theta[: len(design.shared)].T @ design.shared
+    share = np.full(len(curves), 1.0 if _is_curve(design.response) else 0.0)
+    for operator, unknown in zip(design.own, theta[len(design.shared) :]):
+        left -= unknown[:, None] * (tissue @ operator.T)
+        share -= unknown if _is_curve(operator) else 0.0
+    fitted = (tissue - left / share[:, None]) / design.scale + design.offset
+    kept = (design.weights > 0) & np.isfinite(answer.values[:1].T)
+    return np.where(kept, fitted, np.nan)
+
+
+def _is_curve(operator: Array) -> bool:
+    return bool((operator == np.eye(len(operator))).all())

@@ -1,223 +1,307 @@
 """Standard errors of every curve: the compiled Gauss-Newton covariance, many curves in step as in `lanes`.
 
-The column of a parameter in the Jacobian is a combination of five vectors, the blood's axis, both atoms and both of
-their derivatives, whose inner products are tabulated: J^T W J = C^T G C with G 5 x 5, no vector of frames is touched.
-Where that loses digits (two rates nearly the same), the columns are built and orthogonalised one curve at a time.
+What a model is enters as a tape of its formulas (`tape`); see `normal` for the normal equations.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import lanes
-from petkin.fitting.dual import partials
-from petkin.fitting.lanes import LANES, OWN, VECTORS
-from petkin.fitting.normal import invert, normal_equations, orthogonalise
-from petkin.fitting.sensitivity import model_jacobian
+from petkin.fitting.lanes import LANES, OWN
+from petkin.fitting.normal import (
+    ALL_ROWS,
+    COLUMN,
+    FREE,
+    INVERSE,
+    LOST,
+    PARAMETERS,
+    SCALE,
+    SPEED_1,
+    VALUE,
+    VECTORS,
+    X0,
+    invert,
+    invert_again,
+)
 from petkin.fitting.table import RATE_OFFSET, Compression, InnerProducts
+from petkin.fitting.tape import Tape, record_partials, run
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
 
 _STRICT = {"contract", "nsz"}
-#: Eigenvalues of a scaled normal matrix below this are rounding.
-_LEAST_EIGENVALUE = 1e-14
 #: Relative error of a pivot from which on a curve is done again.
-_LOST = 1e-6
+_TOO_MUCH = 1e-6
 
 
-def covariances(model: CompartmentModel, packed: Compression, parameters: Array, held: NDArray[np.bool_]) -> Array:
-    """(J^T W J)^-1 of every curve, W the frame weights.
+@dataclass(frozen=True)
+class Formulas:
+    """What follows from P parameters, on tape.
 
     Args:
-        model: compartment model.
-        packed: compressed table.
-        parameters: (N, P).
-        held: (N, P), parameters that count as known (fixed, or on a bound).
-
-    Returns:
-        (N, P, P): zero rows for held parameters; 1e30 times the scale where the rest cannot be told apart.
+        tape: x0, then x and rate (1/min) of every exponential, then the macro-parameters, and their derivatives; the
+            curve is x0 axis + sum_m x_m b(a_m).
+        parameters: P, at most 5.
+        exponentials: how many, 1 or 2.
+        macros: how many.
     """
-    columns = [np.ascontiguousarray(column) for column in parameters.T]
-    exponentials, chain = impulse_partials(model, columns[:-1])
-    answer = np.empty((parameters.shape[1], parameters.shape[1], len(parameters)))
-    none = np.empty((0, len(columns) - 1, len(parameters)))
-    _run(packed.products, columns, exponentials, chain, held.T, none, answer, np.empty((0, len(parameters))))
-    return np.moveaxis(answer, -1, 0)
+
+    tape: Tape
+    parameters: int
+    exponentials: int
+    macros: int
+
+    @classmethod
+    def of(cls, curve: Callable[..., tuple[Any, ...]], macros: tuple[Callable[..., Any], ...], parameters: int):
+        """From functions of the parameters: `curve` -> (x0, x1, a1) or (x0, x1, a1, x2, a2), and each macro."""
+        tape = record_partials(lambda *p: (*curve(*p), *(m(*p) for m in macros)), parameters)
+        values = len(tape.outputs) // (parameters + 1)
+        return cls(tape, parameters, (values - len(macros) - 1) // 2, len(macros))
 
 
-def variances(
+@dataclass(frozen=True)
+class Limits:
+    """Where values count as lying on a bound.
+
+    Args:
+        fixed: parameters that are known (P,).
+        lowest, highest: values at or beyond these touch a bound (P,).
+        slowest, fastest: rates at or beyond these lie at an end of their interval, 1/min.
+    """
+
+    fixed: NDArray[np.bool_]
+    lowest: Array
+    highest: Array
+    slowest: float
+    fastest: float
+
+
+@lru_cache
+def _formulas_of(model: CompartmentModel) -> Formulas:
+    """x0 = vB, x_m = (1 - vB) phi_m."""
+
+    def curve(*p):
+        *rates, vB = p
+        return (vB, *(number for phi, a in model.impulse(*rates) for number in ((1.0 - vB) * phi, a)))
+
+    macros = tuple(lambda *p, m=m: m.formula(*p[:-1]) for m in model.macros)
+    return Formulas.of(curve, macros, len(model.parameters))
+
+
+def model_errors(
+    model: CompartmentModel,
+    packed: Compression,
+    limits: Limits,
+    values: Array,
+    percent: Array,
+    chi2: Array,
+    *,
+    wanted: bool,
+) -> NDArray[np.int16]:
+    """`percent_errors` of a compartment model."""
+    return percent_errors(packed.products, _formulas_of(model), limits, values, percent, chi2, wanted=wanted)
+
+
+def percent_errors(
     products: InnerProducts,
-    parameters: Array,
-    exponentials: Array,
-    chain: Array,
-    held: NDArray[np.bool_],
-    macro_chain: Array,
-) -> Array:
-    """Variances of the parameters, then of the macro-parameters, (P + M, N), for weights that are inverse variances.
+    formulas: Formulas,
+    limits: Limits,
+    values: Array,
+    percent: Array,
+    chi2: Array,
+    *,
+    wanted: bool,
+) -> NDArray[np.int16]:
+    """Fill in macro-parameters and percent standard errors.
 
     Args:
         products: inner products of the compressed table.
-        parameters: (P, N).
-        exponentials: phi_1, a_1, phi_2, ... (2 m, N).
-        chain: their derivatives by the rate constants (2 m, P - 1, N).
-        held: (P, N), parameters that count as known.
-        macro_chain: derivatives of the macro-parameters by the rate constants (M, P - 1, N).
+        formulas: of the model.
+        limits: parameters on a bound count as known, and have no error.
+        values: parameters, then room for macro-parameters (P + M, N).
+        percent: room for 100 |se / value| (P + M, N). Infinite for what the curve does not feel, NaN for parameters on
+            a bound and for values that are not finite.
+        chi2: what variances are scaled by (N,).
+        wanted: whether errors are wanted; NaN without.
+
+    Returns:
+        bounds reached, a bit each (N,): lower and upper of every free parameter in turn, then the slowest and the
+        fastest rate of an exponential that takes part.
     """
-    count = parameters.shape[1]
-    answer = np.empty((len(held) + len(macro_chain), count))
-    _run(products, list(parameters), exponentials, chain, held, macro_chain, np.empty((0, 0, count)), answer)
-    return answer
-
-
-def dense_variances(
-    model: CompartmentModel, packed: Compression, parameters: Array, held: NDArray[np.bool_], macro_chain: Array
-) -> Array:
-    """The same for models beyond the five vectors: from every curve's Jacobian itself, by its eigenvalues."""
-    _, jacobian = model_jacobian(model, packed, np.ascontiguousarray(parameters.T))
-    jacobian = np.where(held.T[:, None, :] | ~np.isfinite(jacobian), 0.0, jacobian)
-    length = np.sqrt((jacobian**2).sum(axis=1))
-    scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
-    scaled = jacobian * scale[:, None, :]
-    values, axes = np.linalg.eigh(np.einsum("nrp,nrq->npq", scaled, scaled))
-    felt = np.maximum(values, _LEAST_EIGENVALUE)
-    macros = np.einsum(
-        "mqn,nq,nqk->nmk", macro_chain, scale[:, : macro_chain.shape[1]], axes[:, : macro_chain.shape[1]]
-    )
-    rows = np.concatenate([scale[:, :, None] * axes, macros], axis=1)
-    return (rows**2 / felt[:, None, :]).sum(axis=2).T
-
-
-def impulse_partials(model: CompartmentModel, rates: list[Array]) -> tuple[Array, Array]:
-    """phi_1, a_1, phi_2, ... (2 m, N) of a model and their derivatives by the rate constants (2 m, P - 1, N)."""
-    return partials(lambda *k: tuple(number for pair in model.impulse(*k) for number in pair), rates)
-
-
-def _run(
-    products: InnerProducts,
-    columns: list[Array],
-    exponentials: Array,
-    chain: Array,
-    held: NDArray[np.bool_],
-    macro_chain: Array,
-    covariance: Array,
-    variance: Array,
-) -> None:
-    count = len(columns[0])
-    if count % LANES:
-        # A remainder loop might round another way than the rest: fill up, so that there is none.
-        spare = LANES - count % LANES
-        columns, exponentials, chain = (
-            [_fill(c, spare) for c in columns],
-            _fill(exponentials, spare),
-            _fill(chain, spare),
-        )
-        held, macro_chain = _fill(held, spare), _fill(macro_chain, spare)
-        wide, long = _fill(covariance, spare), _fill(variance, spare)
-        _run(products, columns, exponentials, chain, held, macro_chain, wide, long)
-        covariance[:], variance[:] = wide[..., :count], long[..., :count]
-        return
-    speed = 1.0 / ((exponentials[1::2] + RATE_OFFSET) * products.spacing)
-    last = float(len(products.own))
-    position = np.clip((np.log(exponentials[1::2] + RATE_OFFSET) - products.low) / products.spacing, 0.0, last)
-    position = np.where(np.isfinite(position), position, 0.0)
-    p, size = len(columns), products.rows.shape[0]
+    size = products.rows.shape[0]
+    reached = np.empty(values.shape[1], np.int16)
     scratch = (
-        np.zeros((lanes.PRODUCTS + VECTORS * VECTORS) * LANES),
-        np.zeros((p + 1, VECTORS, LANES)),
-        np.empty((p, p, LANES)),
-        np.zeros((p, p, LANES)),
-        np.zeros((p, LANES)),
-        np.empty(LANES),
-        np.empty((VECTORS, LANES)),
-        np.empty(LANES),
+        formulas.tape.memory(),
+        np.zeros(ALL_ROWS * LANES),
+        np.zeros((2, LANES)),
         np.empty((VECTORS, size)),
-        np.empty((p, size)),
-        np.empty((2, p, p)),
+        np.empty((PARAMETERS, size)),
+        np.empty((2, PARAMETERS, PARAMETERS)),
     )
-    tables = (products.rows, products.gram, products.own, products.blood)
-    held = np.ascontiguousarray(held)
-    theta = np.stack(columns)
-    _all(tables, position, exponentials[::2], speed, chain, theta, held, macro_chain, covariance, variance, scratch)
-
-
-def _fill(array: NDArray, spare: int) -> NDArray:
-    return np.concatenate([array, np.zeros((*array.shape[:-1], spare), array.dtype)], axis=-1)
+    tape = (formulas.tape.steps, formulas.tape.outputs, formulas.exponentials)
+    tables = (products.rows, products.gram, products.own, products.blood, products.low, products.spacing)
+    ends = (limits.fixed, limits.lowest, limits.highest, limits.slowest, limits.fastest)
+    _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch)
+    return reached
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _all(tables, position, phi, speed, chain, theta, held, macro_chain, covariance, variance, scratch):
-    rows, gram, own, blood = tables
-    work, column, normal, inverse, scale, lost, seen, square, vectors, axes, upper = scratch
-    for start in range(0, theta.shape[1], LANES):
-        _gather(work, start, gram, own, position)
-        lanes.inner_products(work)
-        _columns(start, blood, phi, speed, chain, theta, column)
-        normal_equations(work, start, column, theta, held, normal, scale, lost, seen, square)
-        invert(normal, inverse, scale, lost)
-        for n in range(LANES):
-            if lost[n] > _LOST:
-                orthogonalise(rows, position, start, n, column, scale, normal, vectors, axes, upper)
-        _hand_over(start, normal, macro_chain, covariance, variance)
+def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
+    rows, gram, own, axis, low, spacing = tables
+    steps, outputs, exponentials = tape
+    fixed = ends[0]
+    memory, w, position, vectors, axes, work = scratch
+    parameters, atoms = len(fixed), 1 + 2 * exponentials
+    macros = values.shape[0] - parameters
+    for start in range(0, values.shape[1], LANES):
+        count = min(LANES, values.shape[1] - start)
+        for q in range(parameters):
+            for n in range(LANES):
+                memory[q, n] = values[q, start + n] if n < count else 1.0
+        run(steps, memory)
+        for m in range(macros):
+            macro = memory[outputs[atoms + m]]
+            for n in range(count):
+                values[parameters + m, start + n] = macro[n]
+        _touch(memory, outputs, exponentials, ends, values, start, count, w, reached)
+        if not wanted:
+            percent[:, start : start + count] = np.nan
+            continue
+        _place(memory, outputs, exponentials, low, spacing, float(len(own)), position, w)
+        _gather(w, gram, own, position)
+        _columns(memory, outputs, parameters, exponentials, w)
+        invert(w, axis)
+        for n in range(count):
+            if w[LOST * LANES + n] > _TOO_MUCH:
+                invert_again(w, n, axis, rows, position[0, n], position[1, n], vectors, axes, work[0], work[1])
+        _parameter_errors(w, values, percent, chi2, fixed, start, count)
+        for m in range(macros):
+            partials = outputs[atoms + macros + (atoms + m) * parameters :]
+            _macro_errors(w, memory, partials, values, percent, chi2, m, parameters, start, count)
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(work, start, gram, own, position):
+def _touch(memory, outputs, exponentials, ends, values, start, count, w, reached):
+    """Which parameters are free and off their bounds, and which curves touch one."""
+    fixed, lowest, highest, slowest, fastest = ends
+    for n in range(count):
+        reached[start + n] = 0
+    for q in range(len(fixed)):
+        low, high = np.int16(1 << (2 * q)), np.int16(2 << (2 * q))
+        for n in range(count):
+            value = values[q, start + n]
+            below, above = (not fixed[q]) & (value <= lowest[q]), (not fixed[q]) & (value >= highest[q])
+            reached[start + n] |= (low if below else np.int16(0)) | (high if above else np.int16(0))
+            w[(VALUE + q) * LANES + n] = value
+            w[(FREE + q) * LANES + n] = 0.0 if fixed[q] | below | above else 1.0
+    low, high = np.int16(1 << (2 * len(fixed))), np.int16(2 << (2 * len(fixed)))
+    for m in range(exponentials):
+        amplitude, rate = memory[outputs[1 + 2 * m]], memory[outputs[2 + 2 * m]]
+        for n in range(count):
+            takes_part = amplitude[n] != 0.0
+            reached[start + n] |= low if takes_part & (rate[n] <= slowest) else np.int16(0)
+            reached[start + n] |= high if takes_part & (rate[n] >= fastest) else np.int16(0)
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def _place(memory, outputs, exponentials, low, spacing, last, position, w):
+    """Positions of the exponentials between nodes, and how fast they move with the rate."""
+    for m in range(exponentials):
+        rate = memory[outputs[2 + 2 * m]]
+        for n in range(LANES):
+            shifted = rate[n] + RATE_OFFSET
+            w[(SPEED_1 + m) * LANES + n] = 1.0 / (shifted * spacing)
+            x = min(max((np.log(shifted) - low) / spacing, 0.0), last)
+            position[m, n] = x if x > 0.0 else 0.0  # also where a rate is no number
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(w, gram, own, position):
     """What the inner products need at every curve's rates; an absent second atom sits at the first node."""
     last, two = np.uint64(own.shape[0] - 1), np.uint64(2)
     for n in range(LANES):
-        x = position[0, start + n]
-        y = position[1, start + n] if position.shape[0] > 1 else 0.0
+        x, y = position[0, n], position[1, n]
         i, j = min(np.uint64(x), last), min(np.uint64(y), last)
-        work[lanes.FRACTION_1 * LANES + n], work[lanes.FRACTION_2 * LANES + n] = x - i, y - j
+        w[lanes.FRACTION_1 * LANES + n], w[lanes.FRACTION_2 * LANES + n] = x - i, y - j
         for k in range(OWN):
-            work[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
-            work[(lanes.OWN_2 + k) * LANES + n] = own[j, np.uint64(k)]
+            w[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
+            w[(lanes.OWN_2 + k) * LANES + n] = own[j, np.uint64(k)]
         for k in range(4):
             for m in range(4):
-                work[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[two * j + np.uint64(k), two * i + np.uint64(m)]
+                w[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[two * j + np.uint64(k), two * i + np.uint64(m)]
+
+
+@njit(cache=True, error_model="numpy")
+def _columns(memory, outputs, parameters, exponentials, w):
+    """Amplitudes, and derivatives of amplitudes and rates by every parameter."""
+    atoms = 1 + 2 * exponentials
+    for m in range(exponentials + 1):
+        amplitude = memory[outputs[0 if m == 0 else 2 * m - 1]]
+        for n in range(LANES):
+            w[(X0 + m) * LANES + n] = amplitude[n]
+    first = outputs.shape[0] // (parameters + 1)
+    for o in range(atoms):
+        for q in range(parameters):
+            partial = memory[outputs[first + o * parameters + q]]
+            for n in range(LANES):
+                w[(COLUMN + 5 * q + o) * LANES + n] = partial[n]
+
+
+@njit(cache=True, error_model="numpy")
+def _parameter_errors(w, values, percent, chi2, fixed, start, count):
+    entry = INVERSE
+    for q in range(len(fixed)):
+        for n in range(count):
+            value = values[q, start + n]
+            error = np.sqrt(max(w[entry * LANES + n] * chi2[start + n], 0.0))
+            free = w[(FREE + q) * LANES + n] > 0.0
+            error = np.inf if free & (w[(SCALE + q) * LANES + n] == 0.0) else error
+            known = (abs(value) < np.inf) & (free | fixed[q])
+            percent[q, start + n] = 100.0 * error / abs(value) if known else np.nan
+        entry += PARAMETERS - q
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _columns(start, blood, phi, speed, chain, theta, column):
-    """Every parameter's column, and last the curve itself, as combinations of the five vectors."""
-    rates = chain.shape[1]
-    for m in range(phi.shape[0]):
-        for q in range(rates):
-            for n in range(LANES):
-                tissue = 1.0 - theta[rates, start + n]
-                column[q, 1 + 2 * m, n] = chain[2 * m, q, start + n] * tissue
-                moved = chain[2 * m + 1, q, start + n] * phi[m, start + n] * speed[m, start + n]
-                column[q, 2 + 2 * m, n] = moved * tissue
+def _macro_errors(w, memory, partials, values, percent, chi2, m, parameters, start, count):
+    """By the delta method; a parameter that is no longer defined (k4 where k3 = 0) spoils only what depends on it."""
+    for q in range(parameters):
+        partial = memory[partials[q]]
         for n in range(LANES):
-            column[rates, 1 + 2 * m, n] = -phi[m, start + n]
-            column[rates + 1, 1 + 2 * m, n] = phi[m, start + n] * (1.0 - theta[rates, start + n])
+            w[(VALUE + q) * LANES + n] = partial[n] if abs(partial[n]) < np.inf else 0.0
+    _quadratic_form(w)
+    for n in range(count):
+        spoilt = False
+        for q in range(parameters):
+            unfelt = (w[(SCALE + q) * LANES + n] == 0.0) & (w[(FREE + q) * LANES + n] > 0.0)
+            spoilt = spoilt | (unfelt & (w[(VALUE + q) * LANES + n] != 0.0))
+        value = values[parameters + m, start + n]
+        error = np.inf if spoilt else np.sqrt(max(w[LOST * LANES + n] * chi2[start + n], 0.0))
+        percent[parameters + m, start + n] = 100.0 * error / abs(value) if abs(value) < np.inf else np.nan
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def _quadratic_form(w):
+    """d^T inverse d for what stands in the rows VALUE, into LOST."""
     for n in range(LANES):
-        column[rates, 0, n] = blood
-        column[rates + 1, 0, n] = blood * theta[rates, start + n]
-
-
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _hand_over(start, normal, macro_chain, covariance, variance):
-    """Covariances, or variances of parameters and of what follows from them, as far as asked for."""
-    p = normal.shape[0]
-    for i in range(covariance.shape[0]):
-        for j in range(covariance.shape[0]):
-            for n in range(LANES):
-                covariance[i, j, start + n] = normal[max(i, j), min(i, j), n]
-    if variance.shape[0] == 0:
-        return
-    for i in range(p):
-        for n in range(LANES):
-            variance[i, start + n] = normal[i, i, n]
-    for m in range(macro_chain.shape[0]):
-        for n in range(LANES):
-            variance[p + m, start + n] = 0.0
-        for i in range(p - 1):
-            for j in range(i + 1):
-                twice = 1.0 if i == j else 2.0
-                for n in range(LANES):
-                    both = macro_chain[m, i, start + n] * macro_chain[m, j, start + n]
-                    variance[p + m, start + n] += twice * both * normal[i, j, n]
+        k, i = VALUE * LANES + n, INVERSE * LANES + n
+        d0, d1, d2, d3, d4 = w[k], w[k + LANES], w[k + 2 * LANES], w[k + 3 * LANES], w[k + 4 * LANES]
+        w[LOST * LANES + n] = (
+            d0
+            * (
+                w[i] * d0
+                + 2.0 * (w[i + LANES] * d1 + w[i + 2 * LANES] * d2 + w[i + 3 * LANES] * d3 + w[i + 4 * LANES] * d4)
+            )
+            + d1
+            * (w[i + 5 * LANES] * d1 + 2.0 * (w[i + 6 * LANES] * d2 + w[i + 7 * LANES] * d3 + w[i + 8 * LANES] * d4))
+            + d2 * (w[i + 9 * LANES] * d2 + 2.0 * (w[i + 10 * LANES] * d3 + w[i + 11 * LANES] * d4))
+            + d3 * (w[i + 12 * LANES] * d3 + 2.0 * w[i + 13 * LANES] * d4)
+            + d4 * w[i + 14 * LANES] * d4
+        )

@@ -66,7 +66,7 @@ class Dual:
         return Dual(value, _scaled(self.slopes, -value / self.value))
 
     def __pow__(self, power: float) -> Dual:
-        value = np.sqrt(self.value) if power == 0.5 else self.value**power
+        value = self.value**power
         return Dual(value, _scaled(self.slopes, power * value / self.value))
 
     __radd__ = __add__

@@ -37,8 +37,6 @@ STATE = 19
 # ... and what is gathered at its trial: fractions between nodes, records of `own`, rows on the curve, their Gram block.
 FRACTION_1, FRACTION_2, OWN_1, OWN_2, SEEN_1, SEEN_2, CROSS = 19, 20, 21, 35, 49, 53, 57
 ROWS = 73
-#: For standard errors: inner products of the blood axis, b1, b1', b2, b2', five by five.
-PRODUCTS, VECTORS = 73, 5
 
 #: Entries of a record of `own`: see `search`.
 OWN = 14
@@ -290,28 +288,17 @@ def propose(w, registers, last, reach, tolerance):
         w[STEPS * LANES + n] = steps if done else steps + 1.0
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def inner_products(w):
-    """Gram matrix of the blood axis, b1, db1/dx, b2 and db2/dx at every lane's trial, into rows PRODUCTS and on."""
-    for n in range(LANES):
-        a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
-        g11, c11, d11, l1, k1 = _own(w, OWN_1, n, a, e)
-        p, q = value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
-        g22, c22, d22, l2, k2 = _own(w, OWN_2, n, p, q)
-        u0, u1, u2, u3 = _across(w, n, a)
-        v0, v1, v2, v3 = _across(w, n, e)
-        g12 = u0 * p[0] + u1 * p[1] + u2 * p[2] + u3 * p[3]
-        c21 = u0 * q[0] + u1 * q[1] + u2 * q[2] + u3 * q[3]
-        c12 = v0 * p[0] + v1 * p[1] + v2 * p[2] + v3 * p[3]
-        d12 = v0 * q[0] + v1 * q[1] + v2 * q[2] + v3 * q[3]
-        _store_row(w, n, 0, 1.0, l1, k1, l2, k2)
-        _store_row(w, n, 1, l1, g11, c11, g12, c21)
-        _store_row(w, n, 2, k1, c11, d11, c12, d12)
-        _store_row(w, n, 3, l2, g12, c12, g22, c22)
-        _store_row(w, n, 4, k2, c21, d12, c22, d22)
-
-
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _store_row(w, n, row, v0, v1, v2, v3, v4):
-    k = (PRODUCTS + VECTORS * row) * LANES + n
-    w[k], w[k + LANES], w[k + 2 * LANES], w[k + 3 * LANES], w[k + 4 * LANES] = v0, v1, v2, v3, v4
+def inner_products(w, n):
+    """Products of the unit axis, b1, db1/dx, b2 and db2/dx at a lane's trial, row by row of the upper triangle."""
+    a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
+    g11, c11, d11, l1, k1 = _own(w, OWN_1, n, a, e)
+    p, q = value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
+    g22, c22, d22, l2, k2 = _own(w, OWN_2, n, p, q)
+    u0, u1, u2, u3 = _across(w, n, a)
+    v0, v1, v2, v3 = _across(w, n, e)
+    g12 = u0 * p[0] + u1 * p[1] + u2 * p[2] + u3 * p[3]
+    c21 = u0 * q[0] + u1 * q[1] + u2 * q[2] + u3 * q[3]
+    c12 = v0 * p[0] + v1 * p[1] + v2 * p[2] + v3 * p[3]
+    d12 = v0 * q[0] + v1 * q[1] + v2 * q[2] + v3 * q[3]
+    return l1, k1, l2, k2, g11, c11, g12, c21, d11, c12, d12, g22, c22, d22

@@ -143,7 +143,7 @@ def _fit_shared(
 ) -> FitResult:
     """Curves that share their weights: the free optimum of all, bounded fits of those that leave the box, a summary."""
     frames = _readable(curves).T
-    best = Optimum.of(len(settings.model.parameters), len(curves))
+    best = Optimum.of(len(settings.model.parameters), len(settings.model.macros), len(curves))
     blood = _takes_blood(settings.box)
     tables = (
         wall_tables(packed, settings.rate_bounds[0], blood=blood)

@@ -1,4 +1,10 @@
-"""Normal equations of many small problems in step, their inverses, and what is done where they lose digits."""
+"""Inverse normal equations of many curves in step, and what is done where they lose digits.
+
+The column of a parameter in the Jacobian is a combination of five vectors, the axis, both atoms and both of their
+derivatives, whose inner products are tabulated: J^T W J = C^T G C with G 5 x 5, no vector of frames is touched. Five
+parameters are room for every model here; what is held, not felt or absent is cut loose. All is straight-line code on
+one flat array of rows, as in `lanes`, which the compiler turns into vector registers.
+"""
 
 from __future__ import annotations
 
@@ -6,210 +12,224 @@ import numpy as np
 from numba import njit
 
 from petkin.fitting import lanes
-from petkin.fitting.lanes import LANES, VECTORS
+from petkin.fitting.lanes import LANES, ROWS
+
+#: Most parameters, and vectors that their columns are made of.
+PARAMETERS, VECTORS = 5, 5
+
+# Rows after those that `lanes` gathers: the curve at the optimum, then five a parameter: value, derivatives of the
+# amplitude on the axis, of amplitude and rate of the first exponential, of the second; whether it is free (1.0) ...
+X0, X1, X2, SPEED_1, SPEED_2 = range(ROWS, ROWS + 5)
+VALUE, COLUMN, FREE = ROWS + 5, ROWS + 10, ROWS + 35
+# ... and the answers: 1 / length of a column (0 where cut loose), lower triangle of the inverse, relative error.
+SCALE, INVERSE, LOST = ROWS + 40, ROWS + 45, ROWS + 60
+ALL_ROWS = ROWS + 61
 
 _STRICT = {"contract", "nsz"}
-
 #: A pivot of the scaled matrix below this is taken for zero, and its inverse for this.
-SMALLEST, LARGEST = 1e-14, 1e15
+_SMALLEST, _LARGEST = 1e-14, 1e30
 #: Share of the curve that a parameter must move to count as felt.
 _FELT = 1e-13
 _ROUNDING = 1e-16
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def normal_equations(work, start, column, theta, held, normal, scale, lost, seen, square):
-    """Lower triangle of C^T G C scaled to unit diagonal; parameters that are held, or not felt, are cut loose.
-
-    Args:
-        work: scratch of `lanes` with G in the rows from PRODUCTS on.
-        start: first of the LANES curves in `theta` and `held`.
-        column: C (P + 1, VECTORS, LANES), last the curve itself.
-        theta: parameters (P, N).
-        held: (P, N).
-        normal: answer (P, P, LANES).
-        scale: 1 / sqrt of the diagonal (P, LANES), zero for what is cut loose.
-        lost: relative error of the matrix by cancellation (LANES,).
-        seen, square: scratch (VECTORS, LANES), (LANES,).
-    """
-    p = normal.shape[0]
-    _apply(work, column, p, seen)
-    for n in range(LANES):
-        lost[n] = 0.0
-        square[n] = _inner(seen, column, p, n)
-    for q in range(p):
-        _apply(work, column, q, seen)
-        for s in range(q, p):
-            for n in range(LANES):
-                normal[s, q, n] = _inner(seen, column, s, n)
-        for n in range(LANES):
-            own = normal[q, q, n]
-            free = (not held[q, start + n]) & (own > 0.0) & (own < np.inf)
-            free = free & (theta[q, start + n] ** 2 * own > _FELT * _FELT * square[n])
-            scale[q, n] = 1.0 / np.sqrt(own) if free else 0.0
-        for n in range(LANES):
-            terms = _ROUNDING * _terms(work, column, q, n) * scale[q, n] * scale[q, n]
-            lost[n] = max(lost[n], terms)
-    for i in range(p):
-        for j in range(i):
-            for n in range(LANES):
-                both = scale[i, n] * scale[j, n]
-                normal[i, j, n] = normal[i, j, n] * both if both > 0.0 else 0.0
-        for n in range(LANES):
-            normal[i, i, n] = 1.0
-
-
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _apply(work, column, q, seen):
-    """G times a column."""
-    for v in range(VECTORS):
-        for n in range(LANES):
-            k = (lanes.PRODUCTS + VECTORS * v) * LANES + n
-            seen[v, n] = (
-                work[k] * column[q, 0, n]
-                + work[k + LANES] * column[q, 1, n]
-                + work[k + 2 * LANES] * column[q, 2, n]
-                + work[k + 3 * LANES] * column[q, 3, n]
-                + work[k + 4 * LANES] * column[q, 4, n]
-            )
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _column(w, q, n, axis):
+    """A parameter's column in the five vectors."""
+    k = (COLUMN + 5 * q) * LANES + n
+    moved_1 = w[k + 2 * LANES] * w[X1 * LANES + n] * w[SPEED_1 * LANES + n]
+    moved_2 = w[k + 4 * LANES] * w[X2 * LANES + n] * w[SPEED_2 * LANES + n]
+    return w[k] * axis, w[k + LANES], moved_1, w[k + 3 * LANES], moved_2
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _inner(seen, column, s, n):
+def _apply(g, c):
+    """G c; G = (l1, k1, l2, k2 on the axis, then rows of the rest's upper triangle)."""
+    l1, k1, l2, k2, g11, c11, g12, c21, d11, c12, d12, g22, c22, d22 = g
     return (
-        seen[0, n] * column[s, 0, n]
-        + seen[1, n] * column[s, 1, n]
-        + seen[2, n] * column[s, 2, n]
-        + seen[3, n] * column[s, 3, n]
-        + seen[4, n] * column[s, 4, n]
+        c[0] + l1 * c[1] + k1 * c[2] + l2 * c[3] + k2 * c[4],
+        l1 * c[0] + g11 * c[1] + c11 * c[2] + g12 * c[3] + c21 * c[4],
+        k1 * c[0] + c11 * c[1] + d11 * c[2] + c12 * c[3] + d12 * c[4],
+        l2 * c[0] + g12 * c[1] + c12 * c[2] + g22 * c[3] + c22 * c[4],
+        k2 * c[0] + c21 * c[1] + d12 * c[2] + c22 * c[3] + d22 * c[4],
     )
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _terms(work, column, q, n):
-    """Sum of squares of what a column is made of."""
-    k, step = lanes.PRODUCTS * LANES + n, (VECTORS + 1) * LANES
-    return (
-        work[k] * column[q, 0, n] ** 2
-        + work[k + step] * column[q, 1, n] ** 2
-        + work[k + 2 * step] * column[q, 2, n] ** 2
-        + work[k + 3 * step] * column[q, 3, n] ** 2
-        + work[k + 4 * step] * column[q, 4, n] ** 2
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4]
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _scale(w, q, n, own, square):
+    """1 / length of a column; 0 where the parameter is held or moves the curve by nothing but rounding."""
+    felt = w[VALUE * LANES + q * LANES + n] ** 2 * own > _FELT * _FELT * square
+    free = (w[(FREE + q) * LANES + n] > 0.0) & (own > 0.0) & (own < np.inf) & felt
+    scale = 1.0 / np.sqrt(own) if free else 0.0
+    w[(SCALE + q) * LANES + n] = scale
+    return scale
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _terms(g, c, scale):
+    """Sum of squares of what a column at unit length is made of: how much of it may have cancelled."""
+    total = c[0] * c[0] + g[4] * c[1] * c[1] + g[8] * c[2] * c[2] + g[11] * c[3] * c[3] + g[13] * c[4] * c[4]
+    return total * scale * scale if scale > 0.0 else 0.0
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _sweep(a, steepest):
+    """Gauss-Jordan on the first variable of a symmetric 5 x 5 (lower triangle by columns), which then goes last.
+
+    Five of them leave minus the inverse in the first order.
+    """
+    a00, a10, a20, a30, a40, a11, a21, a31, a41, a22, a32, a42, a33, a43, a44 = a
+    p = 1.0 / a00 if a00 > _SMALLEST else _LARGEST
+    b1, b2, b3, b4 = a10 * p, a20 * p, a30 * p, a40 * p
+    swept = (
+        a11 - b1 * a10,
+        a21 - b1 * a20,
+        a31 - b1 * a30,
+        a41 - b1 * a40,
+        b1,
+        a22 - b2 * a20,
+        a32 - b2 * a30,
+        a42 - b2 * a40,
+        b2,
+        a33 - b3 * a30,
+        a43 - b3 * a40,
+        b3,
+        a44 - b4 * a40,
+        b4,
+        -p,
     )
+    return swept, max(steepest, p)
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def invert(normal, inverse, scale, lost):
-    """Inverse of the scaled matrices by Cholesky, scaled back, into the lower triangle of `normal`.
-
-    `lost` comes in as the relative error of the matrix and goes out as that of the least pivot.
-    """
-    p = normal.shape[0]
-    for i in range(p):
-        for j in range(i + 1):
-            for k in range(j):
-                for n in range(LANES):
-                    normal[i, j, n] -= normal[i, k, n] * normal[j, k, n]
-            for n in range(LANES):
-                if i == j:
-                    value = normal[i, i, n]
-                    inverse[i, i, n] = 1.0 / np.sqrt(value) if value > SMALLEST else LARGEST
-                else:
-                    normal[i, j, n] *= inverse[j, j, n]
+def invert(w, axis):
+    """Inverse of C^T G C from the gathered rows and the columns, and its relative error by cancellation."""
     for n in range(LANES):
+        g = lanes.inner_products(w, n)
+        c0, c1, c2 = _column(w, 0, n, axis), _column(w, 1, n, axis), _column(w, 2, n, axis)
+        c3, c4 = _column(w, 3, n, axis), _column(w, 4, n, axis)
+        curve = (w[X0 * LANES + n] * axis, w[X1 * LANES + n], 0.0, w[X2 * LANES + n], 0.0)
+        square = _dot(_apply(g, curve), curve)
+        s0, s1, s2, s3, s4 = _apply(g, c0), _apply(g, c1), _apply(g, c2), _apply(g, c3), _apply(g, c4)
+        f0, f1 = _scale(w, 0, n, _dot(s0, c0), square), _scale(w, 1, n, _dot(s1, c1), square)
+        f2, f3 = _scale(w, 2, n, _dot(s2, c2), square), _scale(w, 3, n, _dot(s3, c3), square)
+        f4 = _scale(w, 4, n, _dot(s4, c4), square)
+        a = (
+            1.0,
+            _scaled(_dot(s0, c1), f0 * f1),
+            _scaled(_dot(s0, c2), f0 * f2),
+            _scaled(_dot(s0, c3), f0 * f3),
+            _scaled(_dot(s0, c4), f0 * f4),
+            1.0,
+            _scaled(_dot(s1, c2), f1 * f2),
+            _scaled(_dot(s1, c3), f1 * f3),
+            _scaled(_dot(s1, c4), f1 * f4),
+            1.0,
+            _scaled(_dot(s2, c3), f2 * f3),
+            _scaled(_dot(s2, c4), f2 * f4),
+            1.0,
+            _scaled(_dot(s3, c4), f3 * f4),
+            1.0,
+        )
         steepest = 0.0
-        for i in range(p):
-            steepest = max(steepest, inverse[i, i, n])
-        lost[n] *= steepest * steepest
-    for i in range(p):
-        for j in range(i):
-            for n in range(LANES):
-                inverse[i, j, n] = 0.0
-            for k in range(j, i):
-                for n in range(LANES):
-                    inverse[i, j, n] -= normal[i, k, n] * inverse[k, j, n]
-            for n in range(LANES):
-                inverse[i, j, n] *= inverse[i, i, n]
-    for i in range(p):
-        for j in range(i + 1):
-            for n in range(LANES):
-                normal[i, j, n] = 0.0
-            for k in range(i, p):
-                for n in range(LANES):
-                    normal[i, j, n] += inverse[k, i, n] * inverse[k, j, n]
-            for n in range(LANES):
-                normal[i, j, n] *= scale[i, n] * scale[j, n]
+        a, steepest = _sweep(a, steepest)
+        a, steepest = _sweep(a, steepest)
+        a, steepest = _sweep(a, steepest)
+        a, steepest = _sweep(a, steepest)
+        a, steepest = _sweep(a, steepest)
+        _store(w, n, a, f0, f1, f2, f3, f4)
+        worst = max(_terms(g, c0, f0), _terms(g, c1, f1), _terms(g, c2, f2), _terms(g, c3, f3), _terms(g, c4, f4))
+        w[LOST * LANES + n] = _ROUNDING * worst * steepest
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def orthogonalise(rows, position, start, n, column, scale, normal, vectors, axes, work):
-    """The same inverse for one lane from its columns themselves, by modified Gram-Schmidt: half the digits lost.
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _scaled(value, both):
+    return value * both if both > 0.0 else 0.0
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _store(w, n, a, f0, f1, f2, f3, f4):
+    """Minus the swept matrix, scaled back."""
+    k = INVERSE * LANES + n
+    w[k], w[k + LANES], w[k + 2 * LANES] = -a[0] * f0 * f0, -a[1] * f0 * f1, -a[2] * f0 * f2
+    w[k + 3 * LANES], w[k + 4 * LANES] = -a[3] * f0 * f3, -a[4] * f0 * f4
+    w[k + 5 * LANES], w[k + 6 * LANES], w[k + 7 * LANES] = -a[5] * f1 * f1, -a[6] * f1 * f2, -a[7] * f1 * f3
+    w[k + 8 * LANES], w[k + 9 * LANES], w[k + 10 * LANES] = -a[8] * f1 * f4, -a[9] * f2 * f2, -a[10] * f2 * f3
+    w[k + 11 * LANES], w[k + 12 * LANES], w[k + 13 * LANES] = -a[11] * f2 * f4, -a[12] * f3 * f3, -a[13] * f3 * f4
+    w[k + 14 * LANES] = -a[14] * f4 * f4
+
+
+@njit(cache=True, error_model="numpy")
+def invert_again(w, n, axis, rows, position_1, position_2, vectors, axes, upper, inverse):
+    """The same for one lane from the columns themselves, by modified Gram-Schmidt: half the digits lost.
 
     Args:
+        w: scratch after `invert`.
+        n: the lane.
+        axis: length of the column along the first coordinate.
         rows: the table (R, 2 nodes).
-        position: of the exponentials between nodes (m, N).
-        start, n: the curve is start + n, its lane n.
-        column, scale, normal: as above; what is cut loose stays so, the answer is the lower triangle.
-        vectors, axes, work: scratch (VECTORS, R), (P, R), (2, P, P).
+        position_1, position_2: of the exponentials between nodes.
+        vectors, axes, upper, inverse: scratch (VECTORS, R), (PARAMETERS, R), (PARAMETERS, PARAMETERS) twice.
     """
-    p = normal.shape[0]
-    upper, inverse = work[0], work[1]
-    _read_vectors(rows, position, start + n, vectors)
-    for q in range(p):
-        _combine(column, scale, q, n, vectors, axes)
+    for r in range(vectors.shape[1]):
+        vectors[0, r] = 1.0 if r == 0 else 0.0
+    _read_vectors(rows, position_1, vectors[1], vectors[2])
+    _read_vectors(rows, position_2, vectors[3], vectors[4])
+    for q in range(PARAMETERS):
+        _combine(w, q, n, axis, vectors, axes[q])
         for k in range(q):
-            upper[k, q] = _dot(axes, k, q)
-            for r in range(axes.shape[1]):
-                axes[q, r] -= upper[k, q] * axes[k, r]
-        square = _dot(axes, q, q)
-        felt = square > SMALLEST
-        inverse[q, q] = 1.0 / np.sqrt(square) if felt else (LARGEST if scale[q, n] > 0.0 else 0.0)
-        for r in range(axes.shape[1]):
-            axes[q, r] = axes[q, r] * inverse[q, q] if felt else 0.0
+            upper[k, q] = np.sum(axes[k] * axes[q])
+            axes[q] -= upper[k, q] * axes[k]
+        square = np.sum(axes[q] * axes[q])
+        felt = square > _SMALLEST
+        free = w[(SCALE + q) * LANES + n] > 0.0
+        inverse[q, q] = 1.0 / np.sqrt(square) if felt else (np.sqrt(_LARGEST) if free else 0.0)
+        axes[q] *= inverse[q, q] if felt else 0.0
         for j in range(q):
             inverse[j, q] = 0.0
             for k in range(j, q):
                 inverse[j, q] -= inverse[j, k] * upper[k, q] * inverse[q, q]
-    for i in range(p):
-        for j in range(i + 1):
-            normal[i, j, n] = 0.0
-            for k in range(i, p):
-                normal[i, j, n] += inverse[i, k] * inverse[j, k] * scale[i, n] * scale[j, n]
+    entry = INVERSE
+    for j in range(PARAMETERS):
+        for i in range(j, PARAMETERS):
+            total = 0.0
+            for k in range(i, PARAMETERS):
+                total += inverse[i, k] * inverse[j, k]
+            w[entry * LANES + n] = total * w[(SCALE + i) * LANES + n] * w[(SCALE + j) * LANES + n]
+            entry += 1
 
 
 @njit(cache=True, error_model="numpy")
-def _read_vectors(rows, position, curve, vectors):
-    """The five vectors of a curve."""
-    for r in range(vectors.shape[1]):
-        for v in range(VECTORS):
-            vectors[v, r] = 0.0
-        vectors[0, r] = 1.0 if r == 0 else 0.0
-    for m in range(position.shape[0]):
-        i = min(int(position[m, curve]), rows.shape[1] // 2 - 2)
-        a, e = lanes.value_weights(position[m, curve] - i), lanes.slope_weights(position[m, curve] - i)
-        for r in range(vectors.shape[1]):
-            for k in range(4):
-                vectors[1 + 2 * m, r] += a[k] * rows[r, 2 * i + k]
-                vectors[2 + 2 * m, r] += e[k] * rows[r, 2 * i + k]
+def _read_vectors(rows, position, value, slope):
+    """b and db/dx at a position."""
+    i = min(int(position), rows.shape[1] // 2 - 2)
+    a, e = lanes.value_weights(position - i), lanes.slope_weights(position - i)
+    for r in range(len(value)):
+        four = rows[r, 2 * i : 2 * i + 4]
+        value[r] = a[0] * four[0] + a[1] * four[1] + a[2] * four[2] + a[3] * four[3]
+        slope[r] = e[0] * four[0] + e[1] * four[1] + e[2] * four[2] + e[3] * four[3]
 
 
 @njit(cache=True, error_model="numpy")
-def _combine(column, scale, q, n, vectors, axes):
+def _combine(w, q, n, axis, vectors, column):
     """A parameter's column at unit length, zero where it is cut loose; its scale from the column itself."""
-    for r in range(axes.shape[1]):
-        axes[q, r] = 0.0
-        for v in range(VECTORS):
-            axes[q, r] += column[q, v, n] * vectors[v, r] * scale[q, n]
-    if scale[q, n] > 0.0:
-        length = np.sqrt(_dot(axes, q, q))
-        scale[q, n] /= length
-        for r in range(axes.shape[1]):
-            axes[q, r] /= length
-
-
-@njit(cache=True, error_model="numpy")
-def _dot(axes, i, j):
-    total = 0.0
-    for r in range(axes.shape[1]):
-        total += axes[i, r] * axes[j, r]
-    return total
+    c = _column(w, q, n, axis)
+    k = (SCALE + q) * LANES + n
+    for r in range(len(column)):
+        column[r] = 0.0
+        if w[k] > 0.0:
+            column[r] = (
+                c[0] * vectors[0, r]
+                + c[1] * vectors[1, r]
+                + c[2] * vectors[2, r]
+                + c[3] * vectors[3, r]
+                + c[4] * vectors[4, r]
+            )
+    if w[k] > 0.0:
+        w[k] = 1.0 / np.sqrt(np.sum(column * column))
+        column *= w[k]

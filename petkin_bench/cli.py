@@ -98,6 +98,53 @@ def accuracy(
     typer.echo(f"Appended to {append_rows('accuracy', rows)}")
 
 
+@app.command()
+def run(
+    table: Annotated[str, typer.Option(help="hybrid or strategy.")] = "hybrid",
+    system: Annotated[str | None, typer.Option(help="Only this system; default: all of the table.")] = None,
+    preset: Annotated[str, typer.Option(help="tiny, cpu or paper.")] = "cpu",
+    seeds: Annotated[int, typer.Option(help="Runs a row, seeds 0, 1, ...", min=1)] = 1,
+    dynamics: Annotated[str | None, typer.Option(help="Only this way of modelling, e.g. meta_hylad.")] = None,
+    work: Annotated[Path, typer.Option(help="Folder of the checkpoints.")] = Path("bench-runs"),
+    results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
+) -> None:
+    """Train and measure the models of a table; what has its rows is not done again, what was stopped goes on.
+
+    Rows are appended to learning.csv. `petkin-bench tables` prints them beside the published ones.
+    """
+    from functools import partial
+
+    import torch
+
+    from petkin.cli.progress import progress_bar
+    from petkin_bench.protocol import find_preset, jobs
+    from petkin_bench.provenance import RESULTS
+    from petkin_bench.training import done, key, run_job
+
+    torch.set_num_threads(1)
+    folder, chosen = results or RESULTS, find_preset(preset)
+    planned = [job for job in jobs(table, system, seeds) if dynamics in (None, job.dynamics)]
+    left = [job for job in planned if key(job, chosen) not in done(folder)]
+    typer.echo(f"{len(planned)} runs, {len(planned) - len(left)} of them done.")
+    for job in left:
+        with progress_bar() as step:
+            rows = run_job(job, chosen, work=work, results=folder, progress=partial(step, job.label))
+        for row in rows:
+            typer.echo(f"{job.label} {row['split']} {row['test']}: MSE x {row['mse_x']:.3g}, z {row['mse_z']:.3g}")
+
+
+@app.command()
+def tables(
+    results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
+    preset: Annotated[str, typer.Option(help="Rows of this preset.")] = "cpu",
+) -> None:
+    """Print the learning tables beside the published ones, with the ratio."""
+    from petkin_bench.learning_tables import print_tables
+    from petkin_bench.provenance import RESULTS
+
+    print_tables(results or RESULTS, preset)
+
+
 def main() -> None:
     """Run the command line; a `PetkinError` becomes one line on standard error and exit status 2."""
     try:

@@ -1,0 +1,46 @@
+"""Hybrid: systems known in part, whose unknown part is identified from a few series of the same dynamics."""
+
+from petkin.hybrid.checkpoint import load_tensors, save_tensors
+from petkin.hybrid.encoders import Curve, Head, SpatioTemporal, Stack
+from petkin.hybrid.episodes import Dataset, episodes, of_others
+from petkin.hybrid.field import HybridField
+from petkin.hybrid.flow import Flow, RungeKutta
+from petkin.hybrid.metrics import measure, signal_to_noise, valid_share
+from petkin.hybrid.model import Encoded, HyperNetwork, Identifier
+from petkin.hybrid.residual import Network, Residual, into_rows, run_layers
+from petkin.hybrid.strategies import STRATEGIES, find_strategy
+from petkin.hybrid.task import Emission, Task
+from petkin.hybrid.train import Run, Settings, learning_rate, train
+
+__all__ = [
+    "STRATEGIES",
+    "Curve",
+    "Dataset",
+    "Emission",
+    "Encoded",
+    "Flow",
+    "Head",
+    "HybridField",
+    "HyperNetwork",
+    "Identifier",
+    "Network",
+    "Residual",
+    "Run",
+    "RungeKutta",
+    "Settings",
+    "SpatioTemporal",
+    "Stack",
+    "Task",
+    "episodes",
+    "find_strategy",
+    "into_rows",
+    "learning_rate",
+    "load_tensors",
+    "measure",
+    "of_others",
+    "run_layers",
+    "save_tensors",
+    "signal_to_noise",
+    "train",
+    "valid_share",
+]

@@ -1,0 +1,60 @@
+"""Training states on disk: safetensors (numbers and text alone), written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from petkin.errors import InputError
+
+_CARD = "card"
+
+
+def save_tensors(path: Path, tensors: Mapping[str, Tensor], card: Mapping[str, Any]) -> None:
+    """Tensors by name, and a card of plain values that says what they are."""
+    from safetensors.torch import save_file
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    text = json.dumps(card, sort_keys=True, ensure_ascii=False)
+    save_file({name: tensor.detach().contiguous().cpu() for name, tensor in tensors.items()}, beside, {_CARD: text})
+    beside.replace(path)
+
+
+def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """What `save_tensors` wrote.
+
+    Raises:
+        InputError: there is no such file, or it is not one of these.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such checkpoint.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            card = json.loads((file.metadata() or {})[_CARD])
+            return {name: file.get_tensor(name) for name in file.keys()}, card  # noqa: SIM118 (no mapping)
+    except (SafetensorError, KeyError, ValueError) as failure:
+        raise InputError(f"{path}: not a checkpoint of petkin ({failure}).") from failure
+
+
+def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """Adam's memory by parameter number."""
+    state = optimiser.state_dict()["state"]
+    return {f"{index}.{name}": value for index, memory in state.items() for name, value in memory.items()}
+
+
+def restore_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    """The memory back into a fresh optimiser over the same parameters."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        index, _, field = name.partition(".")
+        state.setdefault(int(index), {})[field] = value
+    optimiser.load_state_dict({**optimiser.state_dict(), "state": state})

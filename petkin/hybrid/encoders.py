@@ -1,0 +1,125 @@
+"""Networks that read series: the whole of one, or its first frames.
+
+`Stack` takes the frames of a series as the channels of one image; `SpatioTemporal` is the paper's, a convolution of
+every frame followed by a map over time; `Curve` reads series of a few numbers. All end in features; what they are used
+for is a linear `Head`.
+
+Reference: arXiv:2403.08194, appendix D; the order inside a spatio-temporal block follows Jiang X et al. 2022 (the
+paper's own source for it): convolution, normalisation, activation, map over time, activation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d, leaky_relu
+
+_SLOPE = 0.1
+
+
+class Stack(nn.Module):
+    """Frames x channels of a series as the channels of one image, three convolutions of stride 2, features.
+
+    Args:
+        frames, channels, size: of a series [*b, frames, channels, size, size].
+        filters: of the last convolution; those before have twice as many.
+        pool: images are averaged over squares of this edge first.
+    """
+
+    def __init__(self, frames: int, channels: int, size: int, *, filters: int = 16, pool: int = 1) -> None:
+        super().__init__()
+        widths = (frames * channels, 2 * filters, 2 * filters, filters)
+        convolutions = [nn.Conv2d(a, b, 5, stride=2, padding=2) for a, b in pairwise(widths)]
+        self.layers = nn.Sequential(
+            convolutions[0],
+            nn.BatchNorm2d(widths[1]),
+            nn.LeakyReLU(_SLOPE),
+            convolutions[1],
+            nn.BatchNorm2d(widths[2]),
+            nn.LeakyReLU(_SLOPE),
+            convolutions[2],
+            nn.Tanh(),
+            nn.Flatten(),
+        )
+        self.pool, self.frames = pool, frames
+        self.features = filters * _halved(size // pool, 3) ** 2
+
+    def forward(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n f"]:
+        images = series[:, : self.frames].flatten(1, 2)
+        return self.layers(avg_pool2d(images, self.pool) if self.pool > 1 else images)
+
+
+class SpatioTemporal(nn.Module):
+    """The paper's context encoder: every block halves the image and the time axis, the last leaves one time.
+
+    Args:
+        frames, channels, size: of a series [*b, frames, channels, size, size].
+        filters: of the first and the last block.
+    """
+
+    def __init__(self, frames: int, channels: int, size: int, *, filters: int = 8) -> None:
+        super().__init__()
+        times, widths = (frames, frames // 2, frames // 4, 1), (channels, filters, 2 * filters, filters)
+        self.blocks = nn.ModuleList(
+            _Block(times[i], times[i + 1], widths[i], widths[i + 1], last=i == 2) for i in range(3)
+        )
+        self.features = filters * _halved(size, 3) ** 2
+
+    def forward(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n f"]:
+        for block in self.blocks:
+            series = block(series)
+        return series.flatten(1)
+
+
+class _Block(nn.Module):
+    def __init__(self, before: int, after: int, channels: int, filters: int, *, last: bool) -> None:
+        super().__init__()
+        self.convolution = nn.Conv2d(channels, filters, 5, stride=2, padding=2)
+        self.normalisation = nn.BatchNorm2d(filters)
+        self.over_time = nn.Linear(before, after)
+        self.last = last
+
+    def forward(self, series: Tensor) -> Tensor:
+        count, frames = series.shape[:2]
+        maps = leaky_relu(self.normalisation(self.convolution(series.flatten(0, 1))), _SLOPE)
+        mixed = self.over_time(maps.unflatten(0, (count, frames)).movedim(1, -1)).movedim(-1, 1)
+        return torch.tanh(mixed) if self.last else leaky_relu(mixed, _SLOPE)
+
+
+class Curve(nn.Module):
+    """A series of a few numbers, [n, numbers], through fully connected layers.
+
+    Args:
+        numbers: how many a series has.
+        widths: of the hidden layers; the last is the number of features.
+    """
+
+    def __init__(self, numbers: int, widths: Sequence[int] = (128, 64)) -> None:
+        super().__init__()
+        sizes = (numbers, *widths)
+        layers = [layer for a, b in pairwise(sizes) for layer in (nn.Linear(a, b), nn.SiLU())]
+        self.layers = nn.Sequential(*layers)
+        self.features = sizes[-1]
+
+    def forward(self, series: Float[Tensor, "n numbers"]) -> Float[Tensor, "n f"]:
+        return self.layers(series)
+
+
+class Head(nn.Linear):
+    """A linear map that starts near zero: small weights, no bias."""
+
+    def __init__(self, features: int, outputs: int, *, scale: float = 0.1) -> None:
+        super().__init__(features, outputs)
+        with torch.no_grad():
+            self.weight.mul_(scale)
+            self.bias.zero_()
+
+
+def _halved(size: int, times: int) -> int:
+    for _ in range(times):
+        size = (size + 1) // 2
+    return size

@@ -1,0 +1,119 @@
+"""The whole that is trained: encoders that identify, a field that is known in part, a flow that predicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from petkin.dynamics import VectorField
+from petkin.hybrid.encoders import Head
+from petkin.hybrid.field import HybridField
+from petkin.hybrid.residual import Network
+from petkin.hybrid.task import Task
+
+#: Spread of the hypernetwork's last weights: codes change f_NN little at first.
+_SPREAD = 0.05
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """What the encoders say of every series by itself.
+
+    Args:
+        initial: state at the start (*b, d).
+        physics: c_p (*b, p).
+        code: c_n (*b, q); q = 0 where f_NN is one for all.
+    """
+
+    initial: Float[Tensor, "*b d"]
+    physics: Float[Tensor, "*b p"]
+    code: Float[Tensor, "*b q"]
+
+
+class HyperNetwork(nn.Module):
+    """c_n -> the weights of f_NN. At the start its answer is one usual network close to zero, whatever the code."""
+
+    def __init__(self, code: int, network: Network, generator: torch.Generator) -> None:
+        super().__init__()
+        sizes = (code, 16, 16, 16, 8)
+        hidden = [layer for a, b in pairwise(sizes) for layer in (nn.Linear(a, b), nn.SiLU())]
+        last = nn.Linear(sizes[-1], network.weights)
+        with torch.no_grad():
+            last.weight.normal_(0.0, _SPREAD, generator=generator)
+            last.bias.copy_(network.draw(generator))
+        self.layers = nn.Sequential(*hidden, last)
+
+    def forward(self, code: Float[Tensor, "*b q"]) -> Float[Tensor, "W ..."]:
+        return self.layers(code).movedim(-1, 0)
+
+
+class Identifier(nn.Module):
+    """Encoders, hypernetwork (or one global f_NN) and flow of one task.
+
+    Args:
+        task: what is to be identified.
+        context: encoder of a whole series, with `features`.
+        first: encoder of its first frames, with `features`.
+        code: numbers in c_n; 0 for one f_NN of all dynamics.
+        generator: draws the first weights of f_NN.
+    """
+
+    def __init__(self, task: Task, context: nn.Module, first: nn.Module, *, code: int, generator: torch.Generator):
+        super().__init__()
+        self.task, self.context, self.first = task, context, first
+        self.to_initial = Head(int(first.features), len(task.states))  # type: ignore[arg-type]
+        self.to_physics = Head(int(context.features), len(task.parameters))  # type: ignore[arg-type]
+        coded = code if task.residual is not None else 0
+        self.to_code = Head(int(context.features), coded, scale=1.0) if coded else None  # type: ignore[arg-type]
+        self.hyper = HyperNetwork(coded, task.residual.network, generator) if task.residual and coded else None
+        alone = task.residual is not None and not coded
+        self.weights = nn.Parameter(task.residual.network.draw(generator)) if task.residual and alone else None
+        self.lower: Tensor
+        self.register_buffer("lower", torch.tensor(task.parameters.lower, dtype=torch.float32))
+        self.span: Tensor
+        self.register_buffer("span", torch.tensor(task.parameters.upper, dtype=torch.float32) - self.lower)
+
+    def encode(self, series: Float[Tensor, "*b T ..."], *, batch: int = 2) -> Encoded:
+        """What the encoders say of observed series; `batch` leading axes count them."""
+        shape, flat = series.shape[:batch], series.flatten(0, batch - 1)
+        features = self.context(flat)
+        initial = self.task.centre + self.task.reach * self.to_initial(self.first(flat))
+        physics = self.lower + self.span * torch.sigmoid(self.to_physics(features))
+        code = self.to_code(features) if self.to_code is not None else features[:, :0]
+        return Encoded(*(part.unflatten(0, shape) for part in (initial, physics, code)))
+
+    def field(self, code: Float[Tensor, "*b q"]) -> VectorField:
+        """The derivative that the codes stand for."""
+        if self.task.residual is None:
+            assert self.task.known is not None
+            return self.task.known
+        weights = self.hyper(code) if self.hyper is not None else self._everywhere(code.ndim - 1)
+        return HybridField(self.task.known, self.task.residual, weights)
+
+    def _everywhere(self, axes: int) -> Tensor:
+        assert self.weights is not None
+        return self.weights.reshape(-1, *[1] * axes)
+
+    def predict(self, found: Encoded, times: Float[Tensor, " T"] | None = None) -> Float[Tensor, "*b T d"]:
+        """States at the task's times (or at others) from initial states, parameters and codes."""
+        times = self.task.times if times is None else times
+        return self.task.flow(self.field(found.code), found.initial, found.physics, times)
+
+    def residual(
+        self, code: Float[Tensor, "*b q"], states: Float[Tensor, "*b T d"], physics: Float[Tensor, "*b p"]
+    ) -> Float[Tensor, "r *b T"]:
+        """f_NN along trajectories.
+
+        Raises:
+            ValueError: the task has none.
+        """
+        if self.task.residual is None:
+            raise ValueError(f"{self.task.name} has no residual.")
+        weights = self.hyper(code) if self.hyper is not None else self._everywhere(code.ndim - 1)
+        layers = self.task.residual.network.layers(weights[..., None])
+        seen = physics[..., None, :].expand(*states.shape[:-1], -1)
+        return self.task.residual.value(layers, states, None, seen)

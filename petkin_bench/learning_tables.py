@@ -1,0 +1,85 @@
+"""The learning tables, ours beside the published.
+
+Published figures: Ye Y, Vadhavkar S, Jiang X, Missel R, Liu H, Wang L. Unsupervised learning of hybrid latent dynamics:
+a learn-to-identify framework. arXiv:2403.08194v1, tables of sections 4.2 and 4.3 and appendix C, raw units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.table import Table
+
+from petkin.errors import InputError
+
+PUBLISHED = Path(__file__).parent / "published" / "meta_hylad.csv"
+_METRICS = ("mse_x", "mse_z", "vpt_x", "vpt_z", "mse_cp", "mse_f")
+#: Ours -> the paper's names where they differ.
+_THEIRS = {"mse_f": "mse_cn"}
+_STRATEGIES = {"reconstruct": "recon_hylad", "meta": "meta_hylad", "mixed": "mixed_hylad"}
+
+
+def compare(results: Path, preset: str) -> pd.DataFrame:
+    """One row a figure: which it is, ours with spread over seeds, the published one, the ratio.
+
+    Raises:
+        InputError: no results of this preset.
+    """
+    path = results / "learning.csv"
+    if not path.is_file():
+        raise InputError(f"{path}: there are no results yet; make some with petkin-bench run.")
+    rows = pd.read_csv(path).query("preset == @preset")
+    if rows.empty:
+        raise InputError(f"{path}: no rows of preset {preset!r}.")
+    methods, variants, splits = zip(*(_names(row) for row in _records(rows)))
+    rows = rows.assign(method=methods, variant=variants, split=splits)
+    keys = ["table", "system", "method", "variant", "split", "metric"]
+    long = rows.melt([*keys[:-1], "seed"], [m for m in _METRICS if m in rows], "metric")
+    ours = long.dropna().groupby(keys, sort=False)["value"].agg(["mean", "std", "count"]).reset_index()
+    theirs = pd.read_csv(PUBLISHED).rename(columns={"mean": "published", "std": "published_spread"})
+    theirs["metric"] = theirs["metric"].replace({b: a for a, b in _THEIRS.items()})
+    found = ours.merge(theirs, on=keys, how="left")
+    return found.assign(ratio=found["mean"] / found["published"])
+
+
+def _names(row: Mapping[str, object]) -> tuple[str, str, str]:
+    """Method, variant and split as the published table names them."""
+    if row["table"] == "hybrid":
+        return str(row["dynamics"]), "physics_decoder", str(row["split"])
+    test = str(row["test"]) if row["split"] == "ID" else f"{row['test']} {row['split']}"
+    return _STRATEGIES[str(row["strategy"])], f"k{row['k_train']}", test
+
+
+def print_tables(results: Path, preset: str) -> None:
+    """To the terminal, a table a system."""
+    found, console = compare(results, preset), Console()
+    for name, system in found[["table", "system"]].drop_duplicates().itertuples(index=False, name=None):
+        rows = found.index[(found["table"] == name) & (found["system"] == system)]
+        console.print(_table(f"{name}: {system} (ours / published = ratio)", found.loc[rows]))
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    return [dict(zip(table.columns, row)) for row in table.itertuples(index=False, name=None)]
+
+
+def _table(title: str, part: pd.DataFrame) -> Table:
+    table = Table(title=title, title_justify="left")
+    metrics = [m for m in _METRICS if m in set(part["metric"])]
+    for column in ("method", "split", "seeds", *metrics):
+        table.add_column(column, no_wrap=True)
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    for figure in _records(part):
+        cells = rows.setdefault((f"{figure['method']} {figure['variant']}", str(figure["split"])), {})
+        cells["seeds"] = str(figure["count"])
+        cells[str(figure["metric"])] = _cell(figure["mean"], figure["published"], figure["ratio"])
+    for names, cells in rows.items():
+        table.add_row(*names, *(cells.get(column, "") for column in ("seeds", *metrics)))
+    return table
+
+
+def _cell(ours: float, published: float, ratio: float) -> str:
+    return f"{ours:.2g}" if pd.isna(published) else f"{ours:.2g} / {published:.2g} = {ratio:.2g}"

@@ -1,0 +1,156 @@
+"""How the benchmark trains: presets of data, encoders and steps, and the runs of every table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import nn
+
+from petkin.errors import InputError
+from petkin.hybrid import Identifier, Settings, SpatioTemporal, Stack, Task
+from petkin_bench.systems import DYNAMICS, SYSTEMS, Physics, find_system
+
+#: Frames that tell the start of a series, and numbers in c_n.
+_FIRST, _CODE = 3, 8
+_SPLITS = {"train": 1, "ID": 2, "OOD": 3}
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How much is spent on a run.
+
+    Args:
+        name: tiny, cpu or paper.
+        share: of the paper's dynamics and starts that are drawn for training.
+        test: dynamics x starts of each test set.
+        filters: of the encoders.
+        spatio_temporal: the paper's context encoder instead of stacked frames.
+        settings: of the training, system by system where they differ from "".
+    """
+
+    name: str
+    share: tuple[float, float]
+    test: tuple[int, int]
+    filters: int
+    spatio_temporal: bool
+    settings: dict[str, Settings] = field(default_factory=dict)
+
+    def of(self, system: str) -> Settings:
+        return self.settings.get(system, self.settings[""])
+
+
+_TINY = Settings(steps=60, dynamics=6, series=6)
+_CPU = Settings(steps=3300)
+PRESETS = (
+    Preset("tiny", (0.2, 0.15), (6, 9), 4, False, {"": _TINY, "rigid_body": replace(_TINY, steps=6, series=3)}),
+    Preset(
+        "cpu",
+        (1.0, 1.0),
+        (24, 16),
+        16,
+        False,
+        {
+            "": _CPU,
+            "mass_spring": Settings(steps=6000, rate=2e-3, horizon=6, curriculum=0.5),
+            "double_pendulum": Settings(steps=4000, rate=2e-3),
+            "bouncing_ball": Settings(steps=3000),
+            "rigid_body": Settings(steps=800, series=4),
+        },
+    ),
+    Preset("paper", (1.0, 1.0), (38, 81), 16, True, {"": Settings(steps=48_000, rate=1e-3, clip=5.0, warm_up=0.0)}),
+)
+
+
+def find_preset(name: str) -> Preset:
+    """The preset of this name.
+
+    Raises:
+        InputError: there is none.
+    """
+    for preset in PRESETS:
+        if preset.name == name:
+            return preset
+    raise InputError(f"There is no preset {name!r}; choose one of {', '.join(p.name for p in PRESETS)}.")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One training.
+
+    Args:
+        table: hybrid or strategy.
+        system: its name.
+        dynamics: full_physics, purely_physics, purely_neural, global_hylad or meta_hylad.
+        strategy: what a series is predicted from in training.
+        k: context series in training; 0 for all others of an episode.
+        seed: of weights and episodes.
+    """
+
+    table: str
+    system: str
+    dynamics: str
+    strategy: str
+    k: int
+    seed: int
+
+    @property
+    def label(self) -> str:
+        return f"{self.table}_{self.system}_{self.dynamics}_{self.strategy}_k{self.k or 'all'}_seed{self.seed}"
+
+
+def jobs(table: str, system: str | None, seeds: int) -> tuple[Job, ...]:
+    """The runs of a table, seed after seed.
+
+    Raises:
+        InputError: no such table or system.
+    """
+    if table == "hybrid":
+        systems = [find_system(system).name] if system else [s.name for s in SYSTEMS]
+        plan = [(name, dynamics, "meta", 0) for name in systems for dynamics in DYNAMICS]
+    elif table == "strategy":
+        name = find_system(system or "pendulum").name
+        ways = (("reconstruct", 1), ("meta", 1), ("mixed", 1), ("meta", 7), ("mixed", 7))
+        plan = [(name, "meta_hylad", strategy, k) for strategy, k in ways]
+    else:
+        raise InputError(f"There is no table {table!r} here; choose hybrid or strategy.")
+    return tuple(Job(table, *row, seed) for seed in range(seeds) for row in plan)
+
+
+def settings_of(job: Job, preset: Preset) -> Settings:
+    """Training settings of a run."""
+    found = preset.of(job.system)
+    return replace(found, strategy=job.strategy, context=min(job.k, found.series - 1), seed=job.seed)
+
+
+def build(physics: Physics, dynamics: str, preset: Preset, seed: int) -> Identifier:
+    """A model with fresh first weights."""
+    torch.manual_seed(seed)
+    task = physics.task(dynamics)
+    coded = _CODE if dynamics in ("purely_neural", "meta_hylad") else 0
+    context = _context(task, preset)
+    first = Stack(_FIRST, *_look(task), filters=preset.filters, pool=_pool(task))
+    return Identifier(task, context, first, code=coded, generator=torch.Generator().manual_seed(seed))
+
+
+def _context(task: Task, preset: Preset) -> nn.Module:
+    frames, (channels, size) = len(task.times), _look(task)
+    if preset.spatio_temporal:
+        return SpatioTemporal(frames, channels, size, filters=preset.filters)
+    return Stack(frames, channels, size, filters=preset.filters, pool=_pool(task))
+
+
+def _look(task: Task) -> tuple[int, int]:
+    """Channels and edge of the pictures."""
+    emission = task.emission
+    return emission.channels, emission.size  # type: ignore[attr-defined]
+
+
+def _pool(task: Task) -> int:
+    """Colour pictures are averaged to 16 (32) pixels first: half the work at no cost in accuracy."""
+    return 1 if _look(task)[0] == 1 else 2
+
+
+def counts(physics: Physics, preset: Preset) -> tuple[int, int]:
+    """Dynamics and starts of the training set."""
+    return tuple(max(12, round(share * size)) for share, size in zip(preset.share, physics.sizes))  # type: ignore[return-value]

@@ -1,0 +1,82 @@
+"""The runs of the learning tables: trained, measured, kept as rows; what is there already is not done again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import pandas as pd
+
+from petkin.hybrid import find_strategy, measure, train
+from petkin_bench.protocol import Job, Preset, build, counts, settings_of
+from petkin_bench.provenance import RESULTS, append_rows
+from petkin_bench.systems import draw, find_system
+
+_SEED_TRAIN, _SEED_TEST = 1, 2
+_KEY = ("table", "system", "dynamics", "strategy", "k_train", "seed", "preset")
+
+
+def run_job(
+    job: Job,
+    preset: Preset,
+    *,
+    work: Path,
+    results: Path = RESULTS,
+    progress: Callable[[float], None] = lambda share: None,
+) -> list[dict[str, object]]:
+    """Train one model, measure it on both test sets, append the rows.
+
+    Args:
+        job: what to train.
+        preset: how.
+        work: folder for checkpoints: a run that was stopped goes on.
+        results: folder of the result files.
+        progress: told the share that is done.
+    """
+    physics, settings = find_system(job.system), settings_of(job, preset)
+    data = draw(physics, *counts(physics, preset), seed=_SEED_TRAIN)
+    checkpoint = work / f"{preset.name}_{job.label}.safetensors"
+    start = time.process_time()
+    run = train(
+        lambda seed: build(physics, job.dynamics, preset, seed),
+        data,
+        settings,
+        checkpoint=checkpoint,
+        progress=lambda step, loss: progress(step / settings.steps),
+    )
+    spent = time.process_time() - start
+    rows = [row | {"cpu_s": spent} for row in _measured(job, preset, run.model, "; ".join(run.remarks))]
+    append_rows("learning", [row | {"settings": str(asdict(settings))} for row in rows], results)
+    return rows
+
+
+def done(results: Path = RESULTS) -> set[tuple[str, ...]]:
+    """Runs that have their rows."""
+    path = results / "learning.csv"
+    if not path.is_file():
+        return set()
+    table = pd.read_csv(path, dtype=str)
+    return set(table[list(_KEY)].itertuples(index=False, name=None))
+
+
+def key(job: Job, preset: Preset) -> tuple[str, ...]:
+    """How `done` knows a run."""
+    return (job.table, job.system, job.dynamics, job.strategy, str(job.k), str(job.seed), preset.name)
+
+
+def _measured(job: Job, preset: Preset, model, remarks: str) -> list[dict[str, object]]:
+    """A row a test set and way of testing: prediction from others and, for strategies, reconstruction of itself."""
+    physics, rows = find_system(job.system), []
+    symbols = model.task.parameters.symbols
+    ways = [("prediction", "mixed" if job.strategy == "mixed" else "meta", job.k or preset.test[1] - 1)]
+    ways += [("reconstruction", "reconstruct", 1)] if job.table == "strategy" else []
+    for split, outside in (("ID", False), ("OOD", True)):
+        data = draw(physics, *preset.test, seed=_SEED_TEST + int(outside), outside=outside)
+        for what, strategy, k in ways:
+            k = min(k, 7)
+            found = measure(model, data, find_strategy(strategy), k, physics=physics.places(symbols))
+            head = dict(zip(_KEY, key(job, preset)))
+            rows.append({**head, "split": split, "test": what, "k_test": k, **found, "remarks": remarks})
+    return rows

@@ -1,0 +1,69 @@
+"""The learning tables end to end, tiny: trained, kept, not done again, printed beside the published."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from petkin.errors import InputError
+from petkin_bench.cli import app
+from petkin_bench.learning_tables import PUBLISHED, compare
+from petkin_bench.protocol import PRESETS, build, find_preset, jobs
+from petkin_bench.systems import DYNAMICS, SYSTEMS
+
+
+def test_a_table_is_run_once_and_compared(tmp_path):
+    options = ["--system", "pendulum", "--preset", "tiny", "--work", str(tmp_path), "--results", str(tmp_path)]
+    arguments = ["run", "--table", "hybrid", "--dynamics", "purely_physics", *options]
+    first = CliRunner().invoke(app, arguments)
+    assert first.exit_code == 0, first.output
+    rows = pd.read_csv(tmp_path / "learning.csv")
+    assert list(rows["split"]) == ["ID", "OOD"]
+    assert {"mse_x", "mse_z", "vpt_x", "vpt_z", "mse_cp", "seed", "preset", "commit", "cpu"} <= set(rows)
+    again = CliRunner().invoke(app, arguments)
+    assert "1 runs, 1 of them done." in again.output
+    assert len(pd.read_csv(tmp_path / "learning.csv")) == 2
+    found = compare(tmp_path, "tiny").set_index(["split", "metric"])
+    assert found.loc[("ID", "mse_z"), "published"] == pytest.approx(0.1309)
+    assert found.loc[("ID", "mse_z"), "ratio"] == pytest.approx(rows["mse_z"][0] / 0.1309)
+    printed = CliRunner().invoke(app, ["tables", "--preset", "tiny", "--results", str(tmp_path)])
+    assert "hybrid: pendulum" in printed.output
+
+
+def test_strategies_are_tested_on_both_tasks(tmp_path):
+    options = ["--preset", "tiny", "--work", str(tmp_path), "--results", str(tmp_path)]
+    done = CliRunner().invoke(app, ["run", "--table", "strategy", *options])
+    assert done.exit_code == 0, done.output
+    found = compare(tmp_path, "tiny")
+    published = found[found["published"].notna()]
+    assert set(published["method"]) == {"recon_hylad", "meta_hylad", "mixed_hylad"}
+    assert set(published["split"]) == {"prediction", "reconstruction"}
+    assert {"mse_cp", "mse_f"} <= set(published["metric"])
+
+
+def test_every_table_has_its_runs_and_every_model_can_be_built():
+    assert len(jobs("hybrid", None, 3)) == 3 * len(SYSTEMS) * len(DYNAMICS)
+    assert len({job.label for job in jobs("strategy", None, 2)}) == 10
+    for preset in PRESETS:
+        for system in SYSTEMS:
+            assert build(system, "meta_hylad", preset, 0).hyper is not None
+    paper = build(SYSTEMS[0], "meta_hylad", find_preset("paper"), 0)
+    assert paper.hyper is not None
+    assert paper.hyper.layers[-1].out_features == 241
+
+
+def test_published_figures_are_the_papers():
+    table = pd.read_csv(PUBLISHED)
+    assert len(table) == 752
+    chosen = table[(table["table"] == "pet") & (table["method"] == "meta_hylad") & (table["metric"] == "psnr_x")]
+    assert chosen["mean"].tolist() == [56.4] or chosen["mean"].iloc[0] == pytest.approx(56.4, abs=0.06)
+
+
+def test_bad_names_are_one_line(tmp_path):
+    with pytest.raises(InputError, match="choose hybrid or strategy"):
+        jobs("magic", None, 1)
+    with pytest.raises(InputError, match="choose one of tiny, cpu, paper"):
+        find_preset("huge")
+    with pytest.raises(InputError, match="there are no results yet"):
+        compare(tmp_path, "cpu")

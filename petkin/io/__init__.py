@@ -14,6 +14,7 @@ from petkin.io.nifti_write import write_map, write_series
 from petkin.io.regions import RegionalCurves, read_tacs, read_volumes, write_tacs
 from petkin.io.remarks import Remark, Severity
 from petkin.io.schedule import read_schedule
+from petkin.io.scratch import Rows, Scratch
 from petkin.io.sidecar import PetSidecar, read_sidecar
 from petkin.io.tables import read_table, write_table
 
@@ -27,7 +28,9 @@ __all__ = [
     "RegionalCurves",
     "Regions",
     "Remark",
+    "Rows",
     "Scan",
+    "Scratch",
     "Series",
     "Severity",
     "Study",

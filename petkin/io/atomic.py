@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
 from types import TracebackType
 from typing import BinaryIO
 
 from petkin.errors import InputError
+
+_TEMPORARY, _LOCK = ".petkin-", "lock"
+#: Which permissions this process does not give; there is no way to ask without changing it, which threads would see.
+_UMASK = os.umask(0o077)
+os.umask(_UMASK)
 
 
 @contextmanager
@@ -23,14 +29,14 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """
     make_folder(path.parent)
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=".petkin-", dir=path.parent)
+        descriptor, temporary = tempfile.mkstemp(prefix=_TEMPORARY, dir=path.parent)
     except OSError as error:
         raise _unwritable(path.parent, error) from error
     try:
         with os.fdopen(descriptor, "wb") as file:
             yield file
         # mkstemp makes files private; outputs get the usual permissions.
-        Path(temporary).chmod(0o666 & ~_umask())
+        Path(temporary).chmod(0o666 & ~_UMASK)
         _replace(Path(temporary), path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
@@ -56,10 +62,16 @@ class AtomicFolder:
 
         with AtomicFolder(out) as folder:
             write_table(folder.path("sub-01/pet/sub-01_tacs.tsv"), table)
+
+    Args:
+        target: where the set goes.
+        seal: name below `target` of the file that tells that the set is whole: an old one goes before the first file is
+            moved, the new one comes after the last.
     """
 
-    def __init__(self, target: Path) -> None:
+    def __init__(self, target: Path, *, seal: PurePath | None = None) -> None:
         self.target = target
+        self.seal = seal
 
     def __enter__(self) -> AtomicFolder:
         make_folder(self.target.parent)
@@ -69,13 +81,13 @@ class AtomicFolder:
             raise InputError(
                 f"{self.target}: cannot be written; check its permissions or choose another output folder."
             )
+        inside = self.target if self.target.exists() else self.target.parent
+        self._temporary = temporary_folder(inside)
         try:
-            inside = self.target if self.target.exists() else self.target.parent
-            self._temporary = Path(tempfile.mkdtemp(prefix=".petkin-", dir=inside))
+            self.staging = self._temporary.__enter__() / "out"
+            self.staging.mkdir()
         except OSError as error:
             raise _unwritable(self.target, error) from error
-        self.staging = self._temporary / "out"
-        self.staging.mkdir()
         return self
 
     def path(self, relative: str | PurePath) -> Path:
@@ -98,21 +110,54 @@ class AtomicFolder:
             if kind is None:
                 self._move_in()
         finally:
-            shutil.rmtree(self._temporary, ignore_errors=True)
+            self._temporary.__exit__(None, None, None)
 
     def _move_in(self) -> None:
         if not self.target.exists():
-            _replace(self.staging, self.target)
-            return
-        files = sorted(path for path in self.staging.rglob("*") if path.is_file())
+            try:
+                self.staging.rename(self.target)
+                return
+            except OSError as error:
+                if not self.target.is_dir():  # else another process was first, and its files stay
+                    raise _unwritable(self.target, error) from error
+        seal = None if self.seal is None else self.staging / self.seal
+        files = sorted((path for path in self.staging.rglob("*") if path.is_file()), key=lambda p: (p == seal, p))
         places = [self.target / path.relative_to(self.staging) for path in files]
         for place in places:
             _refuse_to_leave(self.target, place)
             make_folder(place.parent)
             if place.is_dir() or not os.access(place.parent, os.W_OK | os.X_OK):
                 raise InputError(f"{place}: cannot be written; check the permissions of {place.parent}.")
+        if self.seal is not None:
+            (self.target / self.seal).unlink(missing_ok=True)
         for path, place in zip(files, places, strict=True):
             _replace(path, place)
+
+
+@contextmanager
+def temporary_folder(near: Path) -> Iterator[Path]:
+    """A folder that vanishes when the block ends; if the process is killed outright, the next one removes it.
+
+    A lock tells whether its owner lives: the system lets go of it when a process ends, however that comes about.
+    """
+    remove_orphans(near)
+    folder = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{os.getpid()}-", dir=near))
+    try:
+        with (folder / "new").open("wb") as lock:
+            with suppress(OSError):  # a file system without locks: what is left there stays
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                Path(lock.name).rename(folder / _LOCK)
+            yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_orphans(near: Path) -> None:
+    """Remove temporary folders whose owners were killed outright."""
+    for lock in near.glob(f"{_TEMPORARY}*/{_LOCK}"):
+        with suppress(OSError), lock.open("r+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(lock.parent, ignore_errors=True)
 
 
 def make_folder(folder: Path) -> None:
@@ -133,13 +178,23 @@ def require_writable(folder: Path) -> None:
     Raises:
         InputError: it, or the nearest folder above it that exists, is a file or cannot be written.
     """
+    nearest = nearest_folder(folder)
+    try:
+        Path(tempfile.mkdtemp(prefix=_TEMPORARY, dir=nearest)).rmdir()
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def nearest_folder(folder: Path) -> Path:
+    """`folder`, or the nearest above it that exists.
+
+    Raises:
+        InputError: what exists there is a file.
+    """
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise InputError(f"{nearest}: is a file, not a folder; choose another output folder.")
-    try:
-        Path(tempfile.mkdtemp(prefix=".petkin-", dir=nearest)).rmdir()
-    except OSError as error:
-        raise _unwritable(folder, error) from error
+    return nearest
 
 
 def _refuse_to_leave(folder: Path, place: Path) -> None:
@@ -158,9 +213,3 @@ def _replace(source: Path, place: Path) -> None:
 
 def _unwritable(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: cannot be written ({error.strerror or error}); choose another output folder.")
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

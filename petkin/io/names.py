@@ -99,6 +99,11 @@ def report_path(scan: Mapping[str, str], *, desc: str, model: str = "", extensio
     return _path(scan, f"report{extension}", model=model, desc=desc)
 
 
+def record_path(scan: Mapping[str, str]) -> PurePosixPath:
+    """What a finished fit was made from and of: `<scan>_desc-fit_record.json`."""
+    return _path(scan, "record.json", desc="fit")
+
+
 def image_path(scan: Mapping[str, str]) -> PurePosixPath:
     """Raw image of a simulated scan: `<scan>_pet.nii.gz`."""
     return _path(scan, "pet.nii.gz")

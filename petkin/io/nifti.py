@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import zlib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -68,11 +69,13 @@ class Series:
     def frames(self) -> Iterator[NDArray[np.float32]]:
         """Each frame in file order as a 3-D float32 array [x, y, z], Fortran-ordered as on disk.
 
+        While one is in use the next is already being decompressed.
+
         Raises:
             InputError: the file ends early or is damaged.
         """
         factors = self.factors if self.factors.size else np.ones(self.count)
-        for raw, factor in zip(_raw_frames(self.path, self.header), factors, strict=True):
+        for raw, factor in zip(_ahead(_raw_frames(self.path, self.header)), factors, strict=True):
             yield _scaled(raw, self.header.slope * factor, self.header.intercept * factor)
 
 
@@ -177,10 +180,19 @@ def _raw_frames(path: Path, header: ImageHeader) -> Iterator[NDArray]:
     with _opened(path) as (file, _):
         _skip(file, header.offset, path)
         for k in range(header.count):
-            buffer = bytearray(header.frame_bytes)
-            _fill(file, memoryview(buffer), f"{path}: ends within frame {k + 1} of {header.count}")
-            yield np.frombuffer(buffer, header.dtype).reshape(header.shape, order="F")
+            buffer = np.empty(header.frame_bytes, np.uint8)
+            _fill(file, buffer.data, f"{path}: ends within frame {k + 1} of {header.count}")
+            yield buffer.view(header.dtype).reshape(header.shape, order="F")
         file.read(1)  # reaches the checksum of a gzip
+
+
+def _ahead(items: Iterator[NDArray]) -> Iterator[NDArray]:
+    """The same items, the next one made in a thread of its own: decompression leaves the interpreter's lock alone."""
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(next, items, None)
+        while (item := waiting.result()) is not None:
+            waiting = pool.submit(next, items, None)
+            yield item
 
 
 def _fill(file: BinaryIO, view: memoryview, otherwise: str) -> None:

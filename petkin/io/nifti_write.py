@@ -37,7 +37,7 @@ def write_map(path: Path, values: NDArray, affine: NDArray[np.float64], sidecar:
     header = _header(values.shape, affine, stored.dtype)
     with _gzip_file(path) as file:
         file.write(header)
-        file.write(stored.astype(stored.dtype.newbyteorder("<"), copy=False).tobytes(order="F"))
+        file.write(np.ascontiguousarray(stored.astype(stored.dtype.newbyteorder("<"), copy=False).T).data)
     write_text(path.with_name(sidecar_path(PurePosixPath(path.name)).name), json_text(sidecar))
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 _INPUT, _MODEL, _OUTPUT = "What is fitted", "How it is fitted", "Where results go"
+_RUN = "How it is run (changes no result)"
 
 
 def fit(
@@ -146,6 +147,23 @@ def fit(
             help="Time constant (s) of the autosampler's line; default: what the files state.", rich_help_panel=_MODEL
         ),
     ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            help="What petkin may hold, e.g. 4G; the rest waits on disk. Default: half of what is free.",
+            rich_help_panel=_RUN,
+        ),
+    ] = None,
+    workers: Annotated[
+        int, typer.Option(help="Processes on this machine that fit scans side by side.", rich_help_panel=_RUN)
+    ] = 0,
+    scheduler: Annotated[
+        str,
+        typer.Option(help="Address of a dask scheduler that you trust, e.g. tcp://head:8786.", rich_help_panel=_RUN),
+    ] = "",
+    again: Annotated[
+        bool, typer.Option("--again", "--force", help="Fit scans again that are finished.", rich_help_panel=_RUN)
+    ] = False,
 ) -> None:
     """Fit kinetic models by voxel and by region; write maps, tables and a report.
 
@@ -164,6 +182,7 @@ def fit(
         dose_in_mbq,
         interval,
         labels,
+        memory_size,
         numbers_by_symbol,
         typed_command,
     )
@@ -172,6 +191,7 @@ def fit(
     from petkin.fitting import Choices
     from petkin.study.fit import fit_study
     from petkin.study.request import FitRequest
+    from petkin.study.resources import Execution
 
     choices = Choices(
         bounds=bounds_by_symbol(bounds or [], option="--bounds"),
@@ -206,8 +226,9 @@ def fit(
         reference_mask=reference_mask,
         dose=None if dose is None else dose_in_mbq(dose),
         body_weight=body_weight,
-        command_line=typed_command(),
+        command_line=typed_command(without=("--memory", "--workers", "--scheduler"), flags=("--again", "--force")),
     )
+    execution = Execution(memory_size(memory) if memory else None, workers, scheduler, again)
     with progress_bar() as step:
-        fitted = fit_study(request, step)
+        fitted = fit_study(request, step, execution)
     tell_fits(fitted)

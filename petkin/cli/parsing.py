@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import sys
+from collections.abc import Collection
 
 from petkin.errors import InputError
 
@@ -48,9 +49,32 @@ def labels(given: list[str] | None, entity: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(label.removeprefix(entity) for label in given or ()))
 
 
-def typed_command() -> str:
-    """The command as typed, without the program's folder."""
-    return shlex.join(["petkin", *sys.argv[1:]])
+def typed_command(*, without: Collection[str] = (), flags: Collection[str] = ()) -> str:
+    """The command as typed, without the program's folder, and without options that change no result.
+
+    Args:
+        without: such options that take a value.
+        flags: such options that take none.
+    """
+    kept, words = ["petkin"], iter(sys.argv[1:])
+    for word in words:
+        if word in without:
+            next(words, None)
+        elif word not in flags and word.partition("=")[0] not in without:
+            kept.append(word)
+    return shlex.join(kept)
+
+
+def memory_size(text: str) -> int:
+    """`4G` as bytes; units are powers of 1024, and a number alone is bytes."""
+    number, unit = text.strip().upper().removesuffix("B").removesuffix("I"), 1
+    for power, letter in enumerate("KMGT", start=1):
+        if number.endswith(letter):
+            number, unit = number.removesuffix(letter), 1024**power
+    size = _number(number, text, "--memory") * unit
+    if not size > 0:
+        raise InputError(f"--memory {text!r}: give what petkin may hold, e.g. 4G.")
+    return int(size)
 
 
 def _symbol(entry: str, option: str) -> str:

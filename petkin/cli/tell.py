@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from petkin.fitting import FitResult
     from petkin.reporting import TruthRow
-    from petkin.study.fit import Fitted, Outcome
     from petkin.study.fit_scan import ScanFit
+    from petkin.study.outcome import Fitted, Outcome
 
 #: Columns of text in a pipe or file, where no terminal says how wide it is: no table of petkin's is wider.
 _WIDE = 160
@@ -26,11 +26,15 @@ def tell_fits(fitted: Sequence[Fitted]) -> None:
     table = _table("scan", "model", "level", right=("fitted", "flagged", "median", "its SE", "delay"))
     for one in fitted:
         for outcome in one.outcomes:
-            delay = f"{round(one.fit.applied[0] * 60, 1) + 0.0:+.1f} s" if one.fit.arterial else "n/a"  # no -0.0
-            table.add_row(one.fit.source.label, outcome.model, outcome.level, *_figures(outcome), delay)
+            delay = "n/a" if one.delay is None else f"{round(one.delay * 60, 1) + 0.0:+.1f} s"  # no -0.0
+            table.add_row(one.label, outcome.model, outcome.level, *_figures(outcome), delay)
     console.print(table)
     for line in _remarks(fitted):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+    before = sum(one.before for one in fitted)
+    if before:
+        which = "It was" if len(fitted) == 1 else f"{before} of {len(fitted)} scans were"
+        console.print(f"{which} finished before by the same request and not fitted again; --again does.")
     for one in fitted:
         console.print(f"Report: {one.report}", markup=False, highlight=False, soft_wrap=True)
 
@@ -40,13 +44,13 @@ def tell_errors(fitted: Sequence[Fitted], study: Path) -> None:
     from petkin.study.truth import known_truth
 
     table = _table("scan", "model", "quantity", right=("median error", "largest error", "within 2 SE"))
-    for one in fitted:
-        truth = known_truth(study, one.fit.source)
-        for result in one.fit.regional:
+    for fit in (one.fit for one in fitted if one.fit is not None):
+        truth = known_truth(study, fit.source)
+        for result in fit.regional:
             for symbol in dict.fromkeys(row.symbol for row in truth):
-                figures = _against(symbol, truth, one.fit, result)
+                figures = _against(symbol, truth, fit, result)
                 if figures is not None:
-                    table.add_row(one.fit.source.label, result.model, symbol, *figures)
+                    table.add_row(fit.source.label, result.model, symbol, *figures)
     if table.row_count:
         console = _console()
         console.print("Against the truth, by region:")
@@ -76,9 +80,9 @@ def _remarks(fitted: Sequence[Fitted]) -> list[str]:
     from petkin.study.inspect import group
 
     if len(fitted) == 1:
-        return [f"{remark.severity} {remark}" for remark in dict.fromkeys(fitted[0].fit.remarks)]
+        return [f"{remark.severity} {remark}" for remark in dict.fromkeys(fitted[0].remarks)]
     lines = []
-    for found in group(remark for one in fitted for remark in one.fit.remarks):
+    for found in group(remark for one in fitted for remark in one.remarks):
         more = f" (and {found.count - 1} more alike, see the reports)" if found.count > 1 else ""
         lines.append(f"{found.severity} {found.sentence}{more}")
     return lines

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from petkin.study.fit import Fitted, fit_study
+from petkin.study.fit import fit_study
 from petkin.study.fit_scan import Progress
+from petkin.study.outcome import Fitted
 from petkin.study.request import FitRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation.settings import SimulationSettings

@@ -61,7 +61,7 @@ def _regions(source: Source) -> Regions:
 
 def _one(source: Source, regions: Regions, name: str, out: Path, request: FitRequest) -> Path:
     assert source.image is not None
-    _, curves = extract(source.image, source.frames, None, "", regions)
+    curves = extract(source.image, source.frames, regions)
     assert curves is not None
     path = tacs_path(source.entities, seg=curves.seg, desc=curves.desc)
     shared = describe.provenance(

@@ -2,121 +2,149 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from petkin.fitting import FitResult, Need, Status
-from petkin.io import AtomicFolder, write_bytes
-from petkin.io.names import report_path
-from petkin.methods import find_method
+from petkin.errors import InputError, PetkinError
+from petkin.fitting import Need
+from petkin.inputs import InputFunction
+from petkin.io import AtomicFolder, Scratch, write_bytes
+from petkin.io.names import record_path, report_path
 from petkin.reporting import render_fit_report
 from petkin.study.arterial import arterial_input
 from petkin.study.fit_report import build_report
-from petkin.study.fit_scan import Progress, ScanFit, fit_scan
+from petkin.study.fit_scan import Progress, fit_scan
+from petkin.study.outcome import Fitted, outcomes
 from petkin.study.outputs import require_own_folder, write_scan, write_study_description
 from petkin.study.reading import read_sources
 from petkin.study.request import FitRequest
+from petkin.study.resources import Execution, Resources, Spread, free_memory
+from petkin.study.resume import finished, write_record
+from petkin.study.sources import Source
 from petkin.study.truth import known_truth
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """One model's result on regions or voxels, in a few numbers.
+class Job:
+    """One scan to fit, with all that another process needs for it.
 
     Args:
-        model: label.
-        level: "region" or "voxel".
-        curves: how many have a value.
-        flagged: how many of them are in doubt.
-        symbol: what the model is used for, VT or Ki.
-        median: over the curves that are not in doubt; NaN for none.
-        percent_se: median percent standard error of the same.
+        source: the scan.
+        arterial: its input function as sampled, or None where no model needs one.
+        request: what was asked.
+        name: of the study.
+        out: folder for the results.
+        again: fit it even where it is finished.
+        memory: bytes that the process may hold; None for a share of what is free.
     """
 
-    model: str
-    level: str
-    curves: int
-    flagged: int
-    symbol: str
-    median: float
-    percent_se: float
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """What came of one scan.
-
-    Args:
-        fit: the fit without its voxels, which lie on disk.
-        outcomes: its results in short.
-        report: where the report is.
-    """
-
-    fit: ScanFit
-    outcomes: tuple[Outcome, ...]
-    report: Path
+    source: Source
+    arterial: InputFunction | None
+    request: FitRequest
+    name: str
+    out: Path
+    again: bool
+    memory: int | None
 
 
 def _silent(step: str, done: float) -> None:
     """Tells nobody."""
 
 
-def fit_study(request: FitRequest, progress: Progress = _silent) -> tuple[Fitted, ...]:
+def fit_study(
+    request: FitRequest, progress: Progress = _silent, execution: Execution | None = None
+) -> tuple[Fitted, ...]:
     """Fit everything that the request names and write the results, each scan whole or not at all.
 
-    All sidecars and all blood are read, and the folder for the results is tried, before the first scan is fitted.
+    All sidecars and all blood are read, and the folder for the results is tried, before the first scan is fitted. Scans
+    that an earlier run of the same request finished are not fitted again.
 
     Args:
         request: what to fit and how.
         progress: told what is being done, and how far all of it is.
+        execution: in which processes, with how much memory.
 
     Raises:
-        InputError: in one line, what makes a right answer impossible.
+        InputError: in one line, what makes a right answer impossible; where that is one scan of several, once the
+            others are written.
     """
+    execution = execution or Execution()
     progress("reading", 0.0)
     name, out, sources = read_sources(request)
     require_own_folder(out)
     needed = request.needs(Need.INPUT)
-    arterial = [arterial_input(source, request) if needed else None for source in sources]
-    fitted = []
-    for i, source in enumerate(sources):
+    memory = execution.memory and execution.memory // max(execution.workers, 1)
+    jobs = [
+        Job(source, arterial_input(source, request) if needed else None, request, name, out, execution.again, memory)
+        for source in sources
+    ]
+    if execution.workers or execution.scheduler:
+        from petkin.study.cohort import fit_on_cluster  # dask takes longer to load than a small study to fit
 
-        def here(step: str, done: float, i: int = i, label: str = source.label) -> None:
-            progress(f"{label}: {step}", (i + done) / len(sources))
+        answers = fit_on_cluster(fit_job, jobs, execution, progress)
+    else:
+        answers = _one_by_one(jobs, progress)
+    fitted = _without_failures(jobs, answers)
+    progress("done", 1.0)
+    return fitted
 
-        fit = fit_scan(source, arterial[i], request, here)
-        here("writing", 0.92)
+
+def fit_job(job: Job, progress: Progress, spread: Spread | None = None) -> Fitted:
+    """Fit one scan and write its results, unless they are there.
+
+    Args:
+        job: the scan.
+        progress: told what is being done, and how far it is.
+        spread: who fits blocks of voxels; None for this process.
+
+    Raises:
+        InputError: something about the scan makes a right answer impossible.
+    """
+    source, request = job.source, job.request
+    before = None if job.again else finished(job.out, source, request)
+    if before is not None:
+        return before
+    with Scratch(job.out) as scratch:
+        memory = job.memory or free_memory()
+        resources = Resources(memory, scratch, spread or map, shared=spread is not None)
+        fit = fit_scan(source, job.arterial, request, resources, progress)
+        progress("writing", 0.92)
         relative = report_path(source.entities, desc="fit")
-        with AtomicFolder(out) as folder:
-            write_study_description(folder, name, out=out, raw=request.target)
+        delay = None if fit.arterial is None else fit.applied[0]
+        fitted = Fitted(source.label, delay, outcomes(fit), fit.remarks, job.out / relative)
+        with AtomicFolder(job.out, seal=record_path(source.entities)) as folder:
+            write_study_description(folder, job.name, out=job.out, raw=request.target)
             write_scan(folder, fit, request)
-            here("report", 0.95)
+            progress("report", 0.95)
             report = build_report(fit, request, known_truth(request.target, source))
             write_bytes(folder.path(relative), render_fit_report(report).encode())
-        fitted.append(Fitted(replace(fit, voxels=None, by_voxel=()), _outcomes(fit), out / relative))
-    progress("done", 1.0)
+            write_record(folder, source, request, fitted)
+    return replace(fitted, fit=replace(fit, voxels=None, by_voxel=()))
+
+
+def _one_by_one(jobs: list[Job], progress: Progress) -> Iterator[Fitted | PetkinError]:
+    for i, job in enumerate(jobs):
+
+        def here(step: str, done: float, i: int = i, label: str = job.source.label) -> None:
+            progress(f"{label}: {step}", (i + done) / len(jobs))
+
+        try:
+            yield fit_job(job, here)
+        except PetkinError as error:
+            yield error
+
+
+def _without_failures(jobs: list[Job], answers: Iterable[Fitted | PetkinError]) -> tuple[Fitted, ...]:
+    fitted, errors = [], {}
+    for job, answer in zip(jobs, answers, strict=True):
+        if isinstance(answer, Fitted):
+            fitted.append(answer)
+        else:
+            errors[job.source.label] = answer
+    if len(jobs) == 1 and errors:
+        raise next(iter(errors.values()))
+    if errors:
+        told = " ".join(f"{label}: {error}" for label, error in errors.items())
+        raise InputError(f"{len(errors)} of {len(jobs)} scans could not be fitted, the others are written. {told}")
     return tuple(fitted)
-
-
-def _outcomes(fit: ScanFit) -> tuple[Outcome, ...]:
-    levels = (("region", fit.regional), ("voxel", fit.by_voxel))
-    return tuple(_outcome(result, level) for level, results in levels for result in results)
-
-
-def _outcome(result: FitResult, level: str) -> Outcome:
-    symbol = find_method(result.model).outcome
-    value, percent_se = result[symbol], result.percent_se(symbol)
-    fitted = np.isfinite(value)
-    sure = fitted & np.isin(result.status, (Status.OK, Status.AT_BOUND))
-    errors = percent_se[sure & np.isfinite(percent_se)]
-    return Outcome(
-        model=result.model,
-        level=level,
-        curves=int(fitted.sum()),
-        flagged=int((fitted & (result.status != Status.OK)).sum()),
-        symbol=symbol,
-        median=float(np.median(value[sure])) if sure.any() else float("nan"),
-        percent_se=float(np.median(errors)) if errors.size else float("nan"),
-    )

@@ -25,6 +25,7 @@ from petkin.reporting import (
 )
 from petkin.study.fit_scan import ScanFit
 from petkin.study.request import FitRequest
+from petkin.study.series import StoredVolume
 
 _OBSERVED = {
     "frame": "Frame values are decay-weighted means of the model over each frame, as a scanner's decay-corrected "
@@ -116,8 +117,8 @@ def _maps(result: FitResult, fit: ScanFit) -> MapSet:
     assert voxels is not None
     mm: Any = tuple(float(v) for v in voxels.series.voxel_mm)
 
-    def volume(values: NDArray[np.floating]) -> NDArray[np.float32]:
-        return voxels.volume(values.astype(np.float32), np.nan)
+    def volume(values: NDArray[np.floating]) -> Any:
+        return StoredVolume(voxels, values) if voxels.plan.on_disk else voxels.volume(values, np.nan)
 
     return MapSet(
         maps=(

@@ -14,9 +14,11 @@ from petkin.inputs import InputFunction
 from petkin.io import RegionalCurves, Remark, against_tissue, read_regions
 from petkin.io.remarks import severe, warning
 from petkin.methods import Method
+from petkin.study.blocks import fit_voxels
 from petkin.study.mid_frame import mid_frame_shift
 from petkin.study.reference import reference_curve
 from petkin.study.request import FitRequest
+from petkin.study.resources import Resources
 from petkin.study.series import VoxelCurves, choose_mask, extract
 from petkin.study.sources import Source
 from petkin.study.whole_brain import frame_weights, shared_delay, whole_brain
@@ -60,13 +62,16 @@ class ScanFit:
     remarks: tuple[Remark, ...]
 
 
-def fit_scan(source: Source, arterial: InputFunction | None, request: FitRequest, progress: Progress) -> ScanFit:
+def fit_scan(
+    source: Source, arterial: InputFunction | None, request: FitRequest, resources: Resources, progress: Progress
+) -> ScanFit:
     """Fit one scan as asked.
 
     Args:
         source: the scan.
         arterial: its input function as sampled, or None where no model needs one.
         request: what was asked.
+        resources: what it may use.
         progress: told what is being done.
 
     Raises:
@@ -79,7 +84,7 @@ def fit_scan(source: Source, arterial: InputFunction | None, request: FitRequest
         mid_frame=request.observation == "mid",
     )
     progress("reading the image" if source.image is not None else "curves", 0.05)
-    voxels, curves = _curves(source, request)
+    voxels, curves = _curves(source, request, resources)
     whole = whole_brain(voxels, curves)
     weights, how = frame_weights(whole, source, request)
     progress("delay", 0.3)
@@ -97,9 +102,13 @@ def fit_scan(source: Source, arterial: InputFunction | None, request: FitRequest
             compared = request.observation == "frame" and method.comparable
             shifts.append(mid_frame_shift(result, method, curves, given, request.choices) if compared else "")
         if voxels is not None:
-            progress(f"{method.label} by voxel", 0.4 + 0.5 * (i + 0.3) / len(methods))
-            result = method.fit(voxels.values.T, given, request.choices, True)
-            by_voxel.append(_completed(result, applied))
+
+            def here(done: float, i: int = i, step: str = f"{method.label} by voxel") -> None:
+                progress(step, 0.4 + 0.5 * (i + 0.3 + 0.7 * done) / len(methods))
+
+            here(0.0)
+            by_voxel.append(_completed(fit_voxels(method, voxels, given, request.choices, here), applied))
+            voxels.plan.release()
     remarks = (
         *source.remarks,
         *([warning("delay-unknown", source.label, doubt)] if doubt else []),
@@ -127,18 +136,23 @@ def _completed(result: FitResult, applied: tuple[float, float]) -> FitResult:
     return replace(result, delay=applied[0], delay_se=applied[1], remarks=remarks)
 
 
-def _curves(source: Source, request: FitRequest) -> tuple[VoxelCurves | None, RegionalCurves | None]:
+def _curves(
+    source: Source, request: FitRequest, resources: Resources
+) -> tuple[VoxelCurves | None, RegionalCurves | None]:
     if source.image is None:
         return None, source.curves
     regions = read_regions(source.dseg, source.image) if source.dseg is not None else None
-    by_region = regions if source.curves is None and request.level != "voxel" else None
-    if request.level == "region" and source.curves is not None:
-        return None, source.curves
-    mask, how = (
-        (None, "") if request.level == "region" else choose_mask(source.image, source.frames, source.mask, regions)
-    )
-    voxels, curves = extract(source.image, source.frames, mask, how, by_region)
-    return voxels, source.curves if source.curves is not None and request.level != "voxel" else curves
+    if request.level == "region":
+        return None, source.curves or extract(source.image, source.frames, regions)
+    mask, how = choose_mask(source.image, source.frames, source.mask, regions)
+    count = int(np.count_nonzero(mask))
+    plan = resources.plan(source.image, count, len(request.models))
+    rows = plan.rows("curves", source.image.count, count)
+    wanted = regions if source.curves is None and request.level != "voxel" else None
+    curves = extract(source.image, source.frames, wanted, mask=mask, into=rows)
+    if request.level != "voxel":
+        curves = source.curves or curves
+    return VoxelCurves.summed_up(rows, mask, source.image, how, plan), curves
 
 
 def _remarks(
@@ -159,12 +173,10 @@ def _remarks(
 
 def _voxel_remarks(voxels: VoxelCurves) -> list[Remark]:
     remarks, where = [], voxels.series.path.name
-    odd = int(np.count_nonzero(~np.isfinite(voxels.values).all(axis=0)))
-    if odd:
-        text = f"{odd} voxels in the mask hold NaN or infinite values and were not fitted."
+    if voxels.not_finite:
+        text = f"{voxels.not_finite} voxels in the mask hold NaN or infinite values and were not fitted."
         remarks.append(warning("voxels-not-finite", where, text))
-    negative = float(np.mean(voxels.values < 0))
-    if negative > _MANY_NEGATIVE:
-        text = f"{negative:.1%} of all voxel values in the mask are negative; they are fitted as they are."
+    if voxels.negative > _MANY_NEGATIVE:
+        text = f"{voxels.negative:.1%} of all voxel values in the mask are negative; they are fitted as they are."
         remarks.append(warning("voxels-negative", where, text))
     return remarks

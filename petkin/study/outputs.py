@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from petkin import __version__
 from petkin.errors import InputError
@@ -30,6 +33,10 @@ from petkin.study.fit_scan import ScanFit
 from petkin.study.request import FitRequest
 
 _DESCRIPTION = "dataset_description.json"
+_CHI2 = "Weighted residual sum of squares over its degrees of freedom"
+_AICC = "Akaike criterion for small samples, of models with the same weights"
+#: Measure, desc, values of the voxels, value outside of the mask, and sidecar of a map.
+_Map = tuple[str, str, NDArray, float, dict[str, Any]]
 _MEANINGS = {int(status): status.meaning for status in Status}
 
 
@@ -105,49 +112,28 @@ def _columns(result: FitResult) -> list[describe.Measure]:
 def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
     voxels = fit.voxels
     assert voxels is not None
-    scan, affine = fit.source.entities, voxels.series.affine
-    shared = _shared(result.model, fit, request, result)
+
+    def write(entry: _Map) -> None:
+        measure, desc, values, outside, sidecar = entry
+        path = folder.path(names.map_path(fit.source.entities, result.model, measure, desc=desc))
+        write_map(path, voxels.volume(values, outside), voxels.series.affine, sidecar)
+
+    with ThreadPoolExecutor(min(voxels.plan.maps, os.cpu_count() or 1)) as pool:
+        list(pool.map(write, _maps(result, _shared(result.model, fit, request, result))))
+
+
+def _maps(result: FitResult, shared: dict[str, Any]) -> Iterator[_Map]:
     for column, estimate in zip(_columns(result), result.estimates):
-        for values, desc in ((estimate.value, ""), (estimate.percent_se, "se")):
-            path = folder.path(names.map_path(scan, result.model, column.name, desc=desc))
-            sidecar = describe.map_sidecar(column, shared, percent_se=bool(desc))
-            write_map(path, voxels.volume(values.astype(np.float32), np.nan), affine, sidecar)
-    chi2 = {
-        "Description": "Weighted residual sum of squares over its degrees of freedom",
-        "Units": "unitless",
-        **shared,
-    }
-    write_map(
-        folder.path(names.map_path(scan, result.model, desc="chi2")),
-        voxels.volume(result.chi2.astype(np.float32), np.nan),
-        affine,
-        chi2,
-    )
-    aicc = {"Description": "Akaike criterion for small samples, of models with the same weights", "Units": "unitless"}
-    write_map(
-        folder.path(names.map_path(scan, result.model, desc="aicc")),
-        voxels.volume(result.aicc.astype(np.float32), np.nan),
-        affine,
-        aicc | shared,
-    )
-    status = voxels.volume(result.status, Status.OUTSIDE)
-    write_map(
-        folder.path(names.map_path(scan, result.model, desc="status")),
-        status,
-        affine,
-        describe.status_sidecar(_MEANINGS, shared),
-    )
-    for column in result.columns:
-        if column.mapped:
-            measure, _, desc = column.name.rpartition("-")
-            whole = np.issubdtype(column.values.dtype, np.integer)
-            values = column.values if whole else column.values.astype(np.float32)
-            write_map(
-                folder.path(names.map_path(scan, result.model, measure, desc=desc)),
-                voxels.volume(values, 0 if whole else np.nan),
-                affine,
-                describe.column_fields(column.meaning, column.unit, column.levels) | shared,
-            )
+        yield column.name, "", estimate.value, np.nan, describe.map_sidecar(column, shared, percent_se=False)
+        yield column.name, "se", estimate.percent_se, np.nan, describe.map_sidecar(column, shared, percent_se=True)
+    yield "", "chi2", result.chi2, np.nan, {"Description": _CHI2, "Units": "unitless", **shared}
+    yield "", "aicc", result.aicc, np.nan, {"Description": _AICC, "Units": "unitless", **shared}
+    yield "", "status", result.status, Status.OUTSIDE, describe.status_sidecar(_MEANINGS, shared)
+    for column in (column for column in result.columns if column.mapped):
+        measure, _, desc = column.name.rpartition("-")
+        outside = 0 if np.issubdtype(column.values.dtype, np.integer) else np.nan
+        fields = describe.column_fields(column.meaning, column.unit, column.levels)
+        yield measure, desc, column.values, outside, fields | shared
 
 
 def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | None = None) -> dict[str, Any]:

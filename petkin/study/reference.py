@@ -67,7 +67,7 @@ def _all_regions(source: Source) -> RegionalCurves:
             f"{source.label}: --reference names a region, and there is neither a segmentation nor a table of curves: "
             "give --dseg or --tacs, or --reference-mask."
         )
-    _, curves = extract(source.image, source.frames, None, "", read_regions(source.dseg, source.image))
+    curves = extract(source.image, source.frames, read_regions(source.dseg, source.image))
     assert curves is not None
     return curves
 
@@ -81,6 +81,6 @@ def _of_mask(mask: Path, source: Source) -> ReferenceCurve:
     if not inside.any():
         raise InputError(f"{mask.name}: the reference mask holds no voxel.")
     region = Regions(inside, (1,), (mask.name,), np.array([np.nan]), "", "", mask.name)
-    _, curves = extract(source.image, source.frames, None, "", region)
+    curves = extract(source.image, source.frames, region)
     assert curves is not None
     return ReferenceCurve(mask.name, curves.values[0])

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
-from petkin.io import RegionalCurves, Regions, Series, read_label_volume, require_same_grid
+from petkin.io import RegionalCurves, Regions, Rows, Series, read_label_volume, require_same_grid
+from petkin.study.resources import Plan
 
 #: Without a mask, voxels whose mean activity exceeds this share of the 98th percentile are taken for the object.
 _OBJECT_SHARE = 0.15
+
+
+#: Voxels looked at together for a mean: sums in the same order whatever fits into memory.
+_TOGETHER = 65536
 
 
 @dataclass(frozen=True)
@@ -21,30 +27,75 @@ class VoxelCurves:
     """Curves of the voxels in a mask.
 
     Args:
-        values: (K, N) float32, kBq/mL: frames first and voxels in the file's (Fortran) order.
+        rows: frames first and voxels in the file's (Fortran) order, (K, N), kBq/mL.
         mask: [x, y, z].
         series: where they come from.
         how: one sentence on how the mask was made.
+        mean: mean curve of the voxels that are finite in every frame (K,).
+        not_finite: how many are not.
+        negative: share of all values below zero.
+        plan: how many are handled at a time.
     """
 
-    values: NDArray[np.float32]
+    rows: Rows
     mask: NDArray[np.bool_]
     series: Series
     how: str
+    mean: NDArray[np.float64]
+    not_finite: int
+    negative: float
+    plan: Plan
+
+    @classmethod
+    def summed_up(cls, rows: Rows, mask: NDArray[np.bool_], series: Series, how: str, plan: Plan) -> VoxelCurves:
+        """With what is known of all of them together.
+
+        Raises:
+            InputError: no voxel is finite.
+        """
+        frames, count = rows.array.shape
+        total, usable, negative = np.zeros(frames), 0, 0
+        for start in range(0, count, _TOGETHER):
+            block = rows.array[:, start : start + _TOGETHER]
+            finite = np.isfinite(block).all(axis=0)
+            total += block[:, finite].sum(axis=1, dtype=np.float64)
+            usable += int(np.count_nonzero(finite))
+            negative += int(np.count_nonzero(block < 0))
+            rows.release()
+        if not usable:
+            raise InputError(f"{series.path}: no voxel in the mask holds finite values in every frame.")
+        return cls(rows, mask, series, how, total / usable, count - usable, negative / rows.array.size, plan)
 
     @property
-    def mean(self) -> NDArray[np.float64]:
-        """Mean curve of the finite voxels (K,)."""
-        finite = np.asarray(np.isfinite(self.values).all(axis=0))
-        if not finite.any():
-            raise InputError(f"{self.series.path}: no voxel in the mask holds finite values in every frame.")
-        return self.values.mean(axis=1, dtype=np.float64, where=finite[None, :])
+    def count(self) -> int:
+        """Voxels."""
+        return self.rows.array.shape[1]
 
     def volume(self, values: NDArray, outside: float) -> NDArray:
         """One value a voxel (N,) back on the grid, `outside` elsewhere."""
         flat = np.full(self.mask.size, outside, values.dtype)
         flat[self.mask.ravel(order="F")] = values
+        self.plan.release()
         return flat.reshape(self.mask.shape, order="F")
+
+
+class StoredVolume:
+    """One value a voxel, put on the grid whenever it is looked at: for reports on maps that do not fit into memory.
+
+    Args:
+        voxels: where the values belong.
+        values: (N,).
+    """
+
+    def __init__(self, voxels: VoxelCurves, values: NDArray[np.float32]) -> None:
+        self.shape, self.ndim = voxels.mask.shape, voxels.mask.ndim
+        self._voxels, self._values = voxels, values
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.float32]:
+        return self._voxels.volume(self._values, np.nan).astype(dtype or np.float32, copy=False)
+
+    def __getitem__(self, key: Any) -> NDArray[np.float32]:
+        return np.asarray(self)[key]
 
 
 def choose_mask(
@@ -73,25 +124,34 @@ def choose_mask(
 
 
 def extract(
-    series: Series, frames: FrameSchedule, mask: NDArray[np.bool_] | None, how: str, regions: Regions | None
-) -> tuple[VoxelCurves | None, RegionalCurves | None]:
-    """Voxel curves inside `mask` and mean curves of `regions`, reading the file once.
+    series: Series,
+    frames: FrameSchedule,
+    regions: Regions | None,
+    *,
+    mask: NDArray[np.bool_] | None = None,
+    into: Rows | None = None,
+) -> RegionalCurves | None:
+    """Mean curves of `regions` and the curves of the voxels in `mask`, reading the file once.
 
     A region's mean leaves out voxels that are not finite.
+
+    Args:
+        series: the image.
+        frames: its schedule.
+        regions: segmentation, or None.
+        mask: [x, y, z].
+        into: takes the voxels' curves (K, N).
     """
     flat_mask = None if mask is None else mask.ravel(order="F")
-    voxels = None if flat_mask is None else np.empty((series.count, int(flat_mask.sum())), np.float32)
     sums = None if regions is None else _RegionSums(regions, series.count)
     for k, frame in enumerate(series.frames()):
         flat = frame.ravel(order="F")
-        if voxels is not None and flat_mask is not None:
-            voxels[k] = flat[flat_mask]
+        if flat_mask is not None and into is not None:
+            into.array[k] = flat[flat_mask]
+            into.release()
         if sums is not None:
             sums.add(k, flat)
-    curves = None if sums is None else sums.curves(frames, series)
-    if voxels is None or mask is None:
-        return None, curves
-    return VoxelCurves(voxels, mask, series, how), curves
+    return None if sums is None else sums.curves(frames, series)
 
 
 class _RegionSums:

@@ -46,7 +46,7 @@ def a_map(path: Path) -> np.ndarray:
 def test_every_file_of_the_contract_is_there_and_no_other(fitted: tuple[Path, Ran]) -> None:
     study, ran = fitted
     assert (ran.status, ran.err) == (0, "")
-    expected = {"seg-phantom_tacs.tsv", "inputfunction.tsv", "desc-fit_report.html"}
+    expected = {"seg-phantom_tacs.tsv", "inputfunction.tsv", "desc-fit_report.html", "desc-fit_record.json"}
     for model, symbols in PARAMETERS.items():
         expected.add(f"seg-phantom_model-{model}_kinpar.tsv")
         expected |= {f"model-{model}_desc-{what}_mimap.nii.gz" for what in ("status", "chi2", "aicc", "bound")}

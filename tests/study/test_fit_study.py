@@ -11,7 +11,8 @@ import pytest
 
 from petkin.errors import InputError
 from petkin.fitting import Choices
-from petkin.study.fit import Fitted, fit_study
+from petkin.study.fit import fit_study
+from petkin.study.outcome import Fitted
 from petkin.study.request import FitRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
@@ -73,7 +74,7 @@ def test_interrupted_scan(tmp_path: Path) -> None:
 def test_several_scans_are_written_each_under_its_name(tmp_path: Path) -> None:
     study = simulated(tmp_path, subjects=2, sessions=2)
     fitted = fit_study(FitRequest(target=study, models=("1TCM",), level="region"))
-    assert [one.fit.source.label for one in fitted] == [f"sub-0{n}_ses-0{j}" for n in (1, 2) for j in (1, 2)]
+    assert [one.label for one in fitted] == [f"sub-0{n}_ses-0{j}" for n in (1, 2) for j in (1, 2)]
     for one in fitted:
         assert one.report.parts[-4:-1] == (
             f"sub-{one.fit.source.entities['sub']}",
@@ -83,7 +84,7 @@ def test_several_scans_are_written_each_under_its_name(tmp_path: Path) -> None:
         (outcome,) = one.outcomes
         assert (outcome.model, outcome.level, outcome.curves, outcome.symbol) == ("1TCM", "region", 5, "VT")
     picked = fit_study(FitRequest(target=study, models=("1TCM",), level="region", sessions=("02",), subjects=("01",)))
-    assert [one.fit.source.label for one in picked] == ["sub-01_ses-02"]
+    assert [one.label for one in picked] == ["sub-01_ses-02"]
 
 
 def test_curves_alone_give_what_the_image_gave(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import typer
 
 _INPUT, _MODEL, _OUTPUT = "What is fitted", "How it is fitted", "Where results go"
 _RUN = "How it is run (changes no result)"
+_GEOMETRY = "Noise and resolution"
 
 
 def fit(
@@ -113,6 +114,21 @@ def fit(
         typer.Option(
             help="SUV and SUVR average frames in START:END, min. Default: from t* to the end.", rich_help_panel=_MODEL
         ),
+    ] = None,
+    hypr: Annotated[
+        float | None,
+        typer.Option(help="Denoise voxels by HYPR-LR with a kernel of this FWHM, mm.", rich_help_panel=_GEOMETRY),
+    ] = None,
+    pvc: Annotated[
+        str | None,
+        typer.Option(
+            help="gtm: correct regional curves for partial volume by the geometric transfer matrix.",
+            rich_help_panel=_GEOMETRY,
+        ),
+    ] = None,
+    psf: Annotated[
+        float | None,
+        typer.Option(help="Point spread that --pvc corrects for, FWHM in mm.", rich_help_panel=_GEOMETRY),
     ] = None,
     delay: Annotated[
         str,
@@ -226,6 +242,9 @@ def fit(
         reference_mask=reference_mask,
         dose=None if dose is None else dose_in_mbq(dose),
         body_weight=body_weight,
+        hypr=hypr,
+        pvc=pvc,
+        psf=psf,
         command_line=typed_command(without=("--memory", "--workers", "--scheduler"), flags=("--again", "--force")),
     )
     execution = Execution(memory_size(memory) if memory else None, workers, scheduler, again)

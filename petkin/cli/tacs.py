@@ -23,6 +23,10 @@ def tacs(
         str | None,
         typer.Option(help="Unit of an image outside BIDS. Default: what a JSON of frames states, or kBq/mL."),
     ] = None,
+    pvc: Annotated[
+        str | None, typer.Option(help="gtm: correct for partial volume by the geometric transfer matrix.")
+    ] = None,
+    psf: Annotated[float | None, typer.Option(help="Point spread that --pvc corrects for, FWHM in mm.")] = None,
     subject: Annotated[
         list[str] | None, typer.Option(help="Only this subject (label without sub-); repeatable.")
     ] = None,
@@ -49,6 +53,8 @@ def tacs(
         frames=frames,
         nuclide=isotope,
         units=units,
+        pvc=pvc,
+        psf=psf,
         command_line=typed_command(),
     )
     with progress_bar() as step:

@@ -42,7 +42,8 @@ def composite_image(
     total = None
     with np.errstate(invalid="ignore"):  # inf - inf is NaN, as it should be
         for frame, weight in zip(frames, weights, strict=True):
-            total = weight * frame.astype(np.float64) if total is None else total + weight * frame
+            total = np.zeros(frame.shape) if total is None else total
+            total += np.float64(weight) * frame
     if total is None:
         raise InputError("There are no frames to take a composite image of.")
     return total / weights.sum()
@@ -68,7 +69,7 @@ def hypr_lr(
 
     Args:
         frames: I_k, read once.
-        composite: C, see `composite_image`: it needs a pass over all frames before this one.
+        composite: C, see `composite_image`: it needs all frames before the first can be denoised.
         inside: the mask.
         fwhm: full width at half maximum of F, mm.
         voxel_size: mm, one value an axis.

@@ -50,6 +50,7 @@ def find_derivatives(root: Path, scan: Mapping[str, str], sidecar: PetSidecar) -
     foreign = [(pipeline, path) for pipeline, path in tables if pipeline.name != PIPELINE]
     chosen = foreign if foreign or dseg else tables
     curves = [_curves(pipeline, path, scan, sidecar) for pipeline, path in chosen]
+    curves.sort(key=lambda table: table.pvc != "")  # what was measured comes before what was corrected
     inputs = list(_files(root, scan, "inputfunction", (".tsv",)))
     ready = [path for pipeline, path in inputs if pipeline.name != PIPELINE] or [path for _, path in inputs]
     return Derived(_distinct(curves, remarks), _distinct(dseg, remarks), ready[0] if ready else None, tuple(remarks))
@@ -99,10 +100,10 @@ def _morph(path: Path, scan: Mapping[str, str], seg: str) -> list[Path]:
 
 
 def _distinct(found: list[_Found], remarks: list[Remark]) -> tuple[_Found, ...]:
-    """One of each (seg, desc): results are named by them. The first pipeline in alphabetical order wins."""
-    kept: dict[tuple[str, str], _Found] = {}
+    """One of each (seg, pvc, desc): results are named by them. The first pipeline in alphabetical order wins."""
+    kept: dict[tuple[str, str, str], _Found] = {}
     for item in found:
-        key = (item.seg, item.desc)
+        key = (item.seg, item.pvc if isinstance(item, RegionalCurves) else "", item.desc)
         if key in kept:
             where = item.where if isinstance(item, RegionalCurves) else item.path.name
             text = f"Another table or image with seg-{item.seg or '(none)'} came first; this one is not used."

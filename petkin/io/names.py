@@ -16,6 +16,9 @@ from petkin.errors import InputError
 SCAN_ENTITIES = ("sub", "ses", "task", "trc", "rec", "run")
 _LABEL = re.compile(r"[0-9A-Za-z+]+")
 PIPELINE = "petkin"
+#: Label (pvc-) of regional curves corrected by a geometric transfer matrix, and start of the desc- label of maps of an
+#: image denoised by HYPR-LR: BEP023 has no entity for that.
+TRANSFER_MATRIX, HYPR = "GTM", "hypr"
 
 
 @dataclass(frozen=True)
@@ -79,14 +82,14 @@ def map_path(scan: Mapping[str, str], model: str, measure: str = "", *, desc: st
     return _path(scan, "mimap.nii.gz", model=model, meas=measure, desc=desc)
 
 
-def kinpar_path(scan: Mapping[str, str], model: str, *, seg: str = "", desc: str = "") -> PurePosixPath:
-    """Regional parameters: `<scan>_seg-<label>_model-2TCM_kinpar.tsv`."""
-    return _path(scan, "kinpar.tsv", seg=seg, model=model, desc=desc)
+def kinpar_path(scan: Mapping[str, str], model: str, *, seg: str = "", pvc: str = "", desc: str = "") -> PurePosixPath:
+    """Regional parameters: `<scan>_seg-<label>[_pvc-GTM]_model-2TCM_kinpar.tsv`."""
+    return _path(scan, "kinpar.tsv", seg=seg, pvc=pvc, model=model, desc=desc)
 
 
-def tacs_path(scan: Mapping[str, str], *, seg: str = "", desc: str = "") -> PurePosixPath:
-    """Regional time-activity curves: `<scan>_seg-<label>_tacs.tsv`."""
-    return _path(scan, "tacs.tsv", seg=seg, desc=desc)
+def tacs_path(scan: Mapping[str, str], *, seg: str = "", pvc: str = "", desc: str = "") -> PurePosixPath:
+    """Regional time-activity curves: `<scan>_seg-<label>[_pvc-GTM]_tacs.tsv`."""
+    return _path(scan, "tacs.tsv", seg=seg, pvc=pvc, desc=desc)
 
 
 def inputfunction_path(scan: Mapping[str, str]) -> PurePosixPath:

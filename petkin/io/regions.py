@@ -43,6 +43,7 @@ class RegionalCurves:
         remarks: what was odd or converted.
         units: unit that the file states.
         index: labels of the regions in their segmentation, (R,); None where curves came as a table.
+        pvc: label of the correction for partial volume that they have had, "" for none.
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class RegionalCurves:
     remarks: tuple[Remark, ...] = ()
     units: str = "kBq/mL"
     index: tuple[int, ...] | None = None
+    pvc: str = ""
 
     def __post_init__(self) -> None:
         if self.values.shape != (len(self.names), len(self.frames)):
@@ -114,6 +116,7 @@ def read_tacs(
         where,
         tuple(remarks),
         unit,
+        pvc=entities.get("pvc", ""),
     )
     return curves, fields
 

@@ -11,6 +11,7 @@ from petkin.io import AtomicFolder, Regions, Remark, read_regions, write_tacs
 from petkin.io import descriptions as describe
 from petkin.io.names import tacs_path
 from petkin.study.fit_scan import Progress
+from petkin.study.geometry import partial_volume
 from petkin.study.outputs import require_own_folder, write_study_description
 from petkin.study.reading import read_sources
 from petkin.study.request import FitRequest
@@ -61,15 +62,17 @@ def _regions(source: Source) -> Regions:
 
 def _one(source: Source, regions: Regions, name: str, out: Path, request: FitRequest) -> Path:
     assert source.image is not None
-    curves = extract(source.image, source.frames, regions)
+    correction = None if request.psf is None else partial_volume(regions, source.image, request.psf)
+    curves = extract(source.image, source.frames, correction.regions if correction else regions)
     assert curves is not None
-    path = tacs_path(source.entities, seg=curves.seg, desc=curves.desc)
+    curves = correction.corrected(curves) if correction else curves
+    path = tacs_path(source.entities, seg=curves.seg, pvc=curves.pvc, desc=curves.desc)
     shared = describe.provenance(
         "",
         sources=source.files,
         version=__version__,
         command=request.command_line,
-        extra={"Segmentation": curves.where},
+        extra={"Segmentation": curves.where, **(correction.fields if correction else {})},
     )
     with AtomicFolder(out) as folder:
         write_study_description(folder, name, out=out, raw=request.target)

@@ -24,6 +24,7 @@ from petkin.reporting import (
     curve_times,
 )
 from petkin.study.fit_scan import ScanFit
+from petkin.study.geometry import geometry_methods
 from petkin.study.request import FitRequest
 from petkin.study.series import StoredVolume
 
@@ -76,7 +77,11 @@ def _chosen(fit: ScanFit, request: FitRequest) -> list[str]:
         delay = "Delay of the input: none, because it could not be estimated."
     else:
         delay = "Delay of the input: where a compartment model with free blood volume fits the whole-brain curve best."
-    return [delay, *([fit.voxels.how] if fit.voxels is not None else [])]
+    return [
+        delay,
+        *([fit.voxels.how] if fit.voxels is not None else []),
+        *geometry_methods(fit.partial_volume, request),
+    ]
 
 
 def _input(arterial: InputFunction, until: float) -> InputCurves:

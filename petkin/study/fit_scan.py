@@ -15,6 +15,7 @@ from petkin.io import RegionalCurves, Remark, against_tissue, read_regions
 from petkin.io.remarks import severe, warning
 from petkin.methods import Method
 from petkin.study.blocks import fit_voxels
+from petkin.study.geometry import PartialVolume, denoise, denoising_remark, partial_volume
 from petkin.study.mid_frame import mid_frame_shift
 from petkin.study.reference import reference_curve
 from petkin.study.request import FitRequest
@@ -46,6 +47,7 @@ class ScanFit:
         by_voxel: result a model by voxel.
         mid_frame: a sentence a model on what frame averages change, "" where that was not asked.
         remarks: warnings.
+        partial_volume: the correction that the regional curves have had, or None.
     """
 
     source: Source
@@ -60,6 +62,7 @@ class ScanFit:
     by_voxel: tuple[FitResult, ...]
     mid_frame: tuple[str, ...]
     remarks: tuple[Remark, ...]
+    partial_volume: PartialVolume | None = None
 
 
 def fit_scan(
@@ -84,13 +87,16 @@ def fit_scan(
         mid_frame=request.observation == "mid",
     )
     progress("reading the image" if source.image is not None else "curves", 0.05)
-    voxels, curves = _curves(source, request, resources)
+    voxels, measured, correction = _curves(source, request, resources)
+    curves = measured if correction is None or measured is None else correction.corrected(measured)
     whole = whole_brain(voxels, curves)
     weights, how = frame_weights(whole, source, request)
     progress("delay", 0.3)
     delay, applied, doubt = shared_delay(whole, arterial, observation, weights, request)
     arrived = None if arterial is None else arterial.delayed(applied[0])
     given = Given(observation, weights, arrived, reference_curve(source, request, curves), source.suv)
+    # maps are not corrected, so their reference is not either
+    for_voxels = given if correction is None else replace(given, reference=reference_curve(source, request, measured))
     regional: list[FitResult] = []
     by_voxel: list[FitResult] = []
     shifts: list[str] = []
@@ -107,11 +113,13 @@ def fit_scan(
                 progress(step, 0.4 + 0.5 * (i + 0.3 + 0.7 * done) / len(methods))
 
             here(0.0)
-            by_voxel.append(_completed(fit_voxels(method, voxels, given, request.choices, here), applied))
+            by_voxel.append(_completed(fit_voxels(method, voxels, for_voxels, request.choices, here), applied))
             voxels.plan.release()
     remarks = (
         *source.remarks,
         *([warning("delay-unknown", source.label, doubt)] if doubt else []),
+        *(correction.remarks if correction is not None else ()),
+        *([denoising_remark(source)] if request.hypr is not None else []),
         *_remarks(source, whole, voxels, *zip(methods, regional), *zip(methods, by_voxel)),
     )
     return ScanFit(
@@ -127,6 +135,7 @@ def fit_scan(
         tuple(by_voxel),
         tuple(shifts),
         remarks,
+        correction,
     )
 
 
@@ -138,21 +147,28 @@ def _completed(result: FitResult, applied: tuple[float, float]) -> FitResult:
 
 def _curves(
     source: Source, request: FitRequest, resources: Resources
-) -> tuple[VoxelCurves | None, RegionalCurves | None]:
+) -> tuple[VoxelCurves | None, RegionalCurves | None, PartialVolume | None]:
     if source.image is None:
-        return None, source.curves
+        return None, source.curves, None
     regions = read_regions(source.dseg, source.image) if source.dseg is not None else None
+    correction = None
+    if request.psf is not None and regions is not None:
+        correction = partial_volume(regions, source.image, request.psf)
+    wanted = regions if correction is None else correction.regions
     if request.level == "region":
-        return None, source.curves or extract(source.image, source.frames, regions)
+        return None, source.curves or extract(source.image, source.frames, wanted), correction
     mask, how = choose_mask(source.image, source.frames, source.mask, regions)
     count = int(np.count_nonzero(mask))
     plan = resources.plan(source.image, count, len(request.models))
     rows = plan.rows("curves", source.image.count, count)
-    wanted = regions if source.curves is None and request.level != "voxel" else None
+    wanted = wanted if source.curves is None and request.level != "voxel" else None
     curves = extract(source.image, source.frames, wanted, mask=mask, into=rows)
     if request.level != "voxel":
         curves = source.curves or curves
-    return VoxelCurves.summed_up(rows, mask, source.image, how, plan), curves
+    voxels = VoxelCurves.summed_up(rows, mask, source.image, how, plan)
+    if request.hypr is not None:
+        denoise(voxels, source, request.hypr)
+    return voxels, curves, correction
 
 
 def _remarks(

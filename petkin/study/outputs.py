@@ -30,6 +30,7 @@ from petkin.io import (
 from petkin.io import descriptions as describe
 from petkin.study.arterial import sampled_input
 from petkin.study.fit_scan import ScanFit
+from petkin.study.geometry import denoising_fields
 from petkin.study.request import FitRequest
 
 _DESCRIPTION = "dataset_description.json"
@@ -52,8 +53,9 @@ def write_scan(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> None:
             describe.inputfunction_sidecar(_shared("", fit, request)),
         )
     if fit.curves is not None:
-        path = names.tacs_path(scan, seg=fit.curves.seg, desc=fit.curves.desc)
-        write_tacs(folder.path(path), fit.curves, describe.tacs_sidecar(_shared("", fit, request)))
+        path = names.tacs_path(scan, seg=fit.curves.seg, pvc=fit.curves.pvc, desc=fit.curves.desc)
+        shared = _shared("", fit, request) | _corrected(fit)
+        write_tacs(folder.path(path), fit.curves, describe.tacs_sidecar(shared))
         for result in fit.regional:
             _write_kinpar(folder, fit, result, request)
     if fit.voxels is not None:
@@ -99,8 +101,10 @@ def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
 
 def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
     assert fit.curves is not None
-    path = names.kinpar_path(fit.source.entities, result.model, seg=fit.curves.seg, desc=fit.curves.desc)
-    sidecar = describe.kinpar_sidecar(_columns(result), _MEANINGS, _shared(result.model, fit, request, result))
+    curves = fit.curves
+    path = names.kinpar_path(fit.source.entities, result.model, seg=curves.seg, pvc=curves.pvc, desc=curves.desc)
+    shared = _shared(result.model, fit, request, result) | _corrected(fit)
+    sidecar = describe.kinpar_sidecar(_columns(result), _MEANINGS, shared)
     sidecar |= {column.name: describe.column_fields(column.meaning, column.unit) for column in result.columns}
     _table_with_json(folder, path, lambda p: write_table(p, kinpar_table(fit, result)), sidecar)
 
@@ -112,14 +116,17 @@ def _columns(result: FitResult) -> list[describe.Measure]:
 def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
     voxels = fit.voxels
     assert voxels is not None
+    shared, start = _shared(result.model, fit, request, result), ""
+    if request.hypr is not None:
+        shared, start = shared | denoising_fields(request.hypr), names.HYPR
 
     def write(entry: _Map) -> None:
         measure, desc, values, outside, sidecar = entry
-        path = folder.path(names.map_path(fit.source.entities, result.model, measure, desc=desc))
+        path = folder.path(names.map_path(fit.source.entities, result.model, measure, desc=start + desc))
         write_map(path, voxels.volume(values, outside), voxels.series.affine, sidecar)
 
     with ThreadPoolExecutor(min(voxels.plan.maps, os.cpu_count() or 1)) as pool:
-        list(pool.map(write, _maps(result, _shared(result.model, fit, request, result))))
+        list(pool.map(write, _maps(result, shared)))
 
 
 def _maps(result: FitResult, shared: dict[str, Any]) -> Iterator[_Map]:
@@ -161,6 +168,11 @@ def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | N
     return describe.provenance(
         model, sources=fit.source.files, version=__version__, command=request.command_line, extra=extra
     )
+
+
+def _corrected(fit: ScanFit) -> dict[str, Any]:
+    """What regional results say about their correction for partial volume, if they have had one."""
+    return fit.partial_volume.fields if fit.partial_volume is not None else {}
 
 
 def _table_with_json(folder: AtomicFolder, path: PurePosixPath, write: Any, sidecar: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ from petkin.methods import Method, check_choices, find_method
 LEVELS = ("both", "region", "voxel")
 OBSERVATIONS = ("frame", "plain", "mid")
 PARENT_FRACTIONS = ("auto", *PARENT_FRACTION_MODELS, "interpolated", "none")
+CORRECTIONS = ("gtm",)
 PLASMA_SOURCES = ("plasma", "whole_blood")
 #: Longer delays (min) are times in another unit, or blood of another clock.
 _LONGEST_DELAY = 5.0
@@ -40,6 +41,9 @@ class FitRequest:
         observation: "frame" (decay-weighted mean), "plain" (time average) or "mid" (value at mid-frame).
         parent_fraction: model of the parent fraction.
         plasma_from: "plasma", or "whole_blood" where no plasma was measured.
+        hypr: FWHM of the kernel (mm) that denoises the image by HYPR-LR before voxels are fitted; None for none.
+        pvc: "gtm" to correct regional curves for partial volume by the geometric transfer matrix; None for not.
+        psf: FWHM of the point spread (mm) that `pvc` corrects for.
         dispersion_s: time constant to correct autosampler blood for, s; None takes what the files state.
         reference: names of the regions that make up the reference region.
         reference_mask: image that is above 0 there, instead.
@@ -73,6 +77,9 @@ class FitRequest:
     reference_mask: Path | None = None
     dose: str | float | None = None
     body_weight: float | None = None
+    hypr: float | None = None
+    pvc: str | None = None
+    psf: float | None = None
     command_line: str = ""
 
     def __post_init__(self) -> None:
@@ -87,6 +94,7 @@ class FitRequest:
         _check_numbers(self)
         _check_reference(self)
         _check_dose(self)
+        _check_geometry(self)
 
     @property
     def methods(self) -> tuple[Method, ...]:
@@ -143,3 +151,21 @@ def _check_dose(request: FitRequest) -> None:
         raise InputError(f"--dose is {dose:g}; give the injected activity in MBq, above 0.")
     if weight is not None and not 0 < weight < math.inf:
         raise InputError(f"--body-weight is {weight:g}; give kg, above 0.")
+
+
+def _check_geometry(request: FitRequest) -> None:
+    for option, value in (("hypr", request.hypr), ("psf", request.psf)):
+        if value is not None and not 0 < value < math.inf:
+            raise InputError(f"--{option} is {value:g}; give a full width at half maximum in mm, above 0.")
+    if request.hypr is not None and request.level == "region":
+        raise InputError("--hypr denoises voxels, and --level region fits none; leave one of them out.")
+    if request.pvc is not None:
+        _one_of("pvc", request.pvc, CORRECTIONS)
+        if request.level == "voxel":
+            raise InputError("--pvc corrects regional curves, and --level voxel fits none; leave one of them out.")
+        if request.reference_mask is not None:
+            raise InputError(
+                "--pvc corrects the regions of a segmentation: name the reference by --reference, no mask."
+            )
+    if (request.pvc is None) != (request.psf is None):
+        raise InputError("--pvc gtm and --psf go together: what is corrected for, and its width (FWHM) in mm.")

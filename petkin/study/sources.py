@@ -78,9 +78,20 @@ def completed(source: Source, request: FitRequest) -> Source:
         raise InputError(f"{label}: regions need --dseg or --tacs; there is neither a segmentation nor curves.")
     if source.image is None and source.curves is None:
         raise InputError(f"{label}: neither an image nor a table of regional curves to fit; see petkin info.")
+    _require_geometry(source, request)
     if source.curves is not None and source.image is not None:
         _require_same_frames(source.curves, source.frames)
     return replace(source, facts=(*source.facts, ("Frames", _span(source.frames))))
+
+
+def _require_geometry(source: Source, request: FitRequest) -> None:
+    if request.hypr is not None and source.image is None:
+        raise InputError(f"{source.label}: --hypr denoises an image and there is none; leave it out.")
+    if request.pvc is not None and (source.image is None or source.dseg is None or source.curves is not None):
+        raise InputError(
+            f"{source.label}: --pvc needs an image and a segmentation (--dseg) of it; a table of curves does not tell "
+            "where its regions lie."
+        )
 
 
 def _require_same_frames(curves: RegionalCurves, frames: FrameSchedule) -> None:

@@ -9,8 +9,16 @@ operators on the frames (the curve itself, its integrals). Each curve's columns 
 Gram-Schmidt, those in common once beforehand and the response last: as stable as a QR decomposition, sums of squares
 without cancellation, and no array of the size of a curve outside the cache.
 
-Reference: Bjorck A. Solving linear least squares problems by Gram-Schmidt orthogonalization. BIT 1967;7:1-21,
-doi:10.1007/BF01934122.
+Noise n of the frames enters response and columns alike: what is left of the equation is L n with
+L = R - sum_j theta_j O_j, correlated over frames wherever an integral takes part. To first order
+
+    cov(theta) = s^2 G X^T W L N L^T W X G,  G = (X^T W X)^-1,    s^2 = WRSS / tr(P W L N L^T),
+
+N the frames' relative variances and P the projection off the weighted columns. For L = 1 this is the usual covariance.
+
+References: Bjorck A. Solving linear least squares problems by Gram-Schmidt orthogonalization. BIT 1967;7:1-21,
+doi:10.1007/BF01934122. White H. Econometrica 1980;48:817-838, doi:10.2307/1912934 (a covariance that is not that of the
+weights).
 """
 
 from __future__ import annotations
@@ -44,6 +52,7 @@ class LinearDesign:
         own: operators O that make a curve's own columns, (J, K, K): column j of a curve y is own[j] @ y.
         response: operator R (K, K).
         weights: of the equations (K,), >= 0; where zero, a frame is left out.
+        noise: variances of frame values (K,) up to a factor that all share; also of frames that only integrals use.
         offset: taken off every curve first (K,), kBq/mL, such as the blood in it.
         scale: multiplies what is left.
     """
@@ -52,6 +61,7 @@ class LinearDesign:
     own: Array
     response: Array
     weights: Array
+    noise: Array
     offset: Array
     scale: float = 1.0
 
@@ -71,8 +81,9 @@ class LinearSolutions:
 
     Args:
         theta: unknowns (p, n); not finite where the columns of a curve depend on each other.
-        covariance: inverse of the normal matrix (p, p, n); times the variance of unit weight it is their covariance.
+        covariance: of the unknowns at unit noise (p, p, n); the noise is wrss / freedom.
         wrss: weighted residual sum of squares (n,).
+        freedom: what `wrss` is at unit noise, on average (n,): frames less unknowns for L = 1.
         total: sum of a curve's values over all frames (n,).
         finite: whether all values of a curve are numbers (n,).
     """
@@ -80,6 +91,7 @@ class LinearSolutions:
     theta: Array
     covariance: Array
     wrss: Array
+    freedom: Array
     total: Array
     finite: NDArray[np.bool_]
 
@@ -94,6 +106,9 @@ class LinearSolver:
         axes: orthonormal axes of the shared columns (S, U).
         inverse: what makes the shared unknowns from components along the axes (S, S).
         offset, scale: as in `LinearDesign`.
+        spread: how the noise of every frame enters the used ones through each operator, operators transposed times
+            root variances (J + 1, K, U), their spans (J + 1, K, 2), the same along the axes (J + 1, S, K), and
+            traces of products of two operators' spreads (J + 1, J + 1).
     """
 
     operators: Array
@@ -102,6 +117,7 @@ class LinearSolver:
     inverse: Array
     offset: Array
     scale: float
+    spread: tuple[Array, NDArray[np.intp], Array, Array]
 
     @classmethod
     def prepare(cls, design: LinearDesign, label: str) -> LinearSolver:
@@ -125,24 +141,31 @@ class LinearSolver:
                 f"{label}: the input says nothing in the {len(used)} frames used (it is zero there, or not finite, or "
                 "its integrals are multiples of each other); check the input function and its times."
             )
-        spans = np.stack([_first(operators != 0), operators.shape[2] - _first(operators[:, :, ::-1] != 0)], axis=-1)
         inverse = np.linalg.inv(upper) if len(upper) else np.empty((0, 0))
+        noisy = np.ascontiguousarray((operators * np.sqrt(design.noise)).transpose(0, 2, 1))
+        spread = (
+            noisy,
+            _spans(noisy),
+            np.ascontiguousarray(np.einsum("vku,us->vsk", noisy, axes)),
+            np.einsum("vku,wku->vw", noisy, noisy),
+        )
         return cls(
-            np.ascontiguousarray(operators), spans, np.ascontiguousarray(axes.T), inverse, design.offset, design.scale
+            np.ascontiguousarray(operators),
+            _spans(operators),
+            np.ascontiguousarray(axes.T),
+            inverse,
+            design.offset,
+            design.scale,
+            spread,
         )
 
     def solve(self, frames: NDArray[np.floating], rows: slice) -> LinearSolutions:
         """Unknowns of some of the curves (K, N), float32 or float64, frames first; `rows` has a start and a stop."""
-        n, unknowns = rows.stop - rows.start, len(self.axes) + len(self.operators) - 1
-        answer = LinearSolutions(
-            np.empty((unknowns, n)),
-            np.empty((unknowns, unknowns, n)),
-            np.empty(n),
-            np.empty(n),
-            np.empty(n, np.bool_),
-        )
-        vectors, used, frames_in_all = self.operators.shape
-        lanes = _scratch(frames_in_all, vectors, used, unknowns)
+        n, (vectors, used, count) = rows.stop - rows.start, self.operators.shape
+        unknowns = len(self.axes) + vectors - 1
+        theta, (wrss, freedom, total), finite = np.empty((unknowns, n)), np.empty((3, n)), np.empty(n, np.bool_)
+        same = vectors == 1  # no column is the curve's own: all curves have one covariance
+        covariance = np.empty((unknowns, unknowns, 0 if same else n))
         _solve(
             frames,
             rows.start,
@@ -152,28 +175,40 @@ class LinearSolver:
             self.spans,
             self.axes,
             self.inverse,
-            lanes,
-            (answer.theta, answer.covariance, answer.wrss, answer.total, answer.finite),
+            self.spread,
+            _scratch(count, vectors, used, unknowns),
+            (theta, covariance, wrss, freedom, total, finite),
         )
-        return answer
+        if same:
+            covariance, freedom = self._in_common(n)
+        return LinearSolutions(theta, covariance, wrss, freedom, total, finite)
+
+    def _in_common(self, n: int) -> tuple[Array, Array]:
+        """Covariance and freedom of n curves whose columns are all shared."""
+        _, _, along, traces = self.spread
+        each = self.inverse @ (along[0] @ along[0].T) @ self.inverse.T
+        freedom = traces[0, 0] - (along[0] ** 2).sum()
+        return np.broadcast_to(each[:, :, None], (*each.shape, n)), np.broadcast_to(freedom, n)
 
 
-def _first(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Place of the first true value along the last axis; 0 where there is none."""
-    return np.argmax(flags, axis=-1)
+def _spans(operators: Array) -> NDArray[np.intp]:
+    """First and one past the last entry of every row that is not zero (..., 2)."""
+    filled = operators != 0
+    return np.stack([np.argmax(filled, axis=-1), filled.shape[-1] - np.argmax(filled[..., ::-1], axis=-1)], axis=-1)
 
 
 def _scratch(frames: int, vectors: int, used: int, unknowns: int) -> tuple[Array, ...]:
-    """Curves, vectors, their components, their lengths, triangular inverse, sums: rows of lanes."""
-    rows = frames, vectors * used, vectors * unknowns, vectors, unknowns * unknowns, 2
+    """Rows of lanes: curves, vectors, components, lengths, triangular inverse, noise, products, sums."""
+    square = unknowns * unknowns
+    rows = frames, vectors * used, vectors * unknowns, vectors, square, unknowns * frames, 2 * square, 2
     return tuple(np.zeros((count, _LANES)) for count in rows)
 
 
 @njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
-def _solve(frames, start, offset, scale, operators, spans, axes, inverse, lanes, answer):
-    y, vectors, parts, lengths, triangle, sums = lanes
-    theta, covariance, wrss, total, finite = answer
-    shared, unknowns, last = axes.shape[0], theta.shape[0], operators.shape[0] - 1
+def _solve(frames, start, offset, scale, operators, spans, axes, inverse, spread, lanes, answer):
+    y, vectors, parts, lengths, triangle, noise, products, sums = lanes
+    theta, covariance, wrss, freedom, total, finite = answer
+    unknowns, last = theta.shape[0], operators.shape[0] - 1
     for first in range(0, len(wrss), _LANES):
         width = min(_LANES, len(wrss) - first)
         here = slice(first, first + width)
@@ -184,15 +219,17 @@ def _solve(frames, start, offset, scale, operators, spans, axes, inverse, lanes,
             _apply(operators[v], spans[v], y, vectors, v)
             _orthogonalise(v, vectors, axes, parts, lengths, sums)
         _invert(parts, inverse, triangle, unknowns)
-        for i in range(unknowns):
-            _inner(triangle, i * unknowns, parts, last * unknowns, unknowns, sums, 0)
-            theta[i, here] = sums[0, :width]
-            for m in range(i + 1):
-                _covariance(triangle, i * unknowns, m * unknowns, lengths, shared, unknowns, sums)
-                covariance[i, m, here] = sums[0, :width]
-                if m < i:
-                    covariance[m, i, here] = sums[0, :width]
         wrss[here] = lengths[last, :width]
+        for i in range(unknowns):
+            _inner(triangle, i * unknowns, parts, last * unknowns, unknowns, products, i)
+            theta[i, here] = products[i, :width]
+        if last > 0:
+            _spread_noise(spread, vectors, lengths, products, noise, sums, axes.shape[0], unknowns)
+            freedom[here] = sums[0, :width]
+            _covariance(noise, triangle, products, unknowns, y.shape[0])
+            for i in range(unknowns):
+                for m in range(unknowns):
+                    covariance[i, m, here] = products[max(i, m) * unknowns + min(i, m), :width]
 
 
 @njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
@@ -303,9 +340,57 @@ def _subtract_product(triangle, at, parts, i, j):
 
 
 @njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
-def _covariance(triangle, i, m, lengths, shared, unknowns, sums):
-    """Sum of products of two rows of the inverse over squared lengths, which are 1 along the axes."""
-    _inner(triangle, i, triangle, m, shared, sums, 0)
-    for j in range(shared, unknowns):
+def _spread_noise(spread, vectors, lengths, theta, noise, sums, shared, unknowns):
+    """How every frame's noise moves the components along axes and vectors; in `sums`, the freedom of the residuals.
+
+    Row i * frames + k of `noise`: component i per unit noise of frame k, from L = R - sum theta_j O_j.
+    """
+    transposed, spans, along, traces = spread
+    last, frames, used = transposed.shape[0] - 1, transposed.shape[1], transposed.shape[2]
+    for n in range(_LANES):
+        sums[0, n] = traces[last, last]
+    for v in range(last):
         for n in range(_LANES):
-            sums[0, n] += triangle[i + j, n] * triangle[m + j, n] / lengths[j - shared, n]
+            sums[0, n] -= 2.0 * traces[last, v] * theta[shared + v, n]
+        for m in range(last):
+            for n in range(_LANES):
+                sums[0, n] += traces[v, m] * theta[shared + v, n] * theta[shared + m, n]
+    for s in range(shared):
+        for k in range(frames):
+            for n in range(_LANES):
+                noise[s * frames + k, n] = along[last, s, k]
+            for v in range(last):
+                for n in range(_LANES):
+                    noise[s * frames + k, n] -= along[v, s, k] * theta[shared + v, n]
+    for j in range(last):
+        for k in range(frames):
+            at = (shared + j) * frames + k
+            _combine(transposed[last], k, spans[last, k, 0], spans[last, k, 1], vectors, j * used, noise, at)
+            for v in range(last):
+                _combine(transposed[v], k, spans[v, k, 0], spans[v, k, 1], vectors, j * used, sums, 1)
+                for n in range(_LANES):
+                    noise[at, n] -= sums[1, n] * theta[shared + v, n]
+            for n in range(_LANES):
+                noise[at, n] /= lengths[j, n]
+    for i in range(unknowns):
+        _inner(noise, i * frames, noise, i * frames, frames, sums, 1)
+        for n in range(_LANES):
+            sums[0, n] -= sums[1, n] * (lengths[i - shared, n] if i >= shared else 1.0)
+
+
+@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+def _covariance(noise, triangle, products, unknowns, frames):
+    """T M T^T into the lower triangle of `products`, M the inner products of the rows of noise, T the inverse."""
+    square = unknowns * unknowns
+    for i in range(unknowns):
+        for m in range(i + 1):
+            at = i * unknowns + m
+            _inner(noise, i * frames, noise, m * frames, frames, products, at)
+            for n in range(_LANES):
+                products[m * unknowns + i, n] = products[at, n]
+    for i in range(unknowns):
+        for m in range(unknowns):  # M is symmetric: its rows are its columns
+            _inner(triangle, i * unknowns, products, m * unknowns, unknowns, products, square + i * unknowns + m)
+    for i in range(unknowns):
+        for m in range(i + 1):
+            _inner(products, square + i * unknowns, triangle, m * unknowns, unknowns, products, i * unknowns + m)

@@ -1,6 +1,6 @@
 """A method that is a linear regression of every curve: from its equation to estimates, errors, status, fitted curves.
 
-design = LinearDesign(shared, own, response, weights, offset, scale)      the equation, see `linear`
+design = LinearDesign(shared, own, response, *weights_and_noise(weights, label), offset, scale)
 result = fit_linear(curves, design, Regression(label, quantities, read), settings={...}, keep_predicted=True)
 """
 
@@ -40,14 +40,16 @@ class Regression:
 
     Args:
         label: of the method.
-        quantities: M of them; the first is what the method is used for.
+        quantities: M of them.
         read: unknowns (p, n) to values (M, n) and their derivatives (M, p, n); None where quantities are the first
             unknowns themselves.
+        outcome: which quantity the method is used for.
     """
 
     label: str
     quantities: tuple[Quantity, ...]
     read: Callable[[Array], tuple[Array, Array]] | None = None
+    outcome: int = 0
 
 
 def fit_linear(
@@ -68,8 +70,8 @@ def fit_linear(
         keep_predicted: return fitted curves; NaN in frames that are left out.
 
     Returns:
-        Estimates; percent errors by the delta method from the covariance of the unknowns scaled by WRSS / (n - p),
-        which counts the noise of the response alone; chi-square and AICc of the regression; status.
+        Estimates; percent errors by the delta method from the covariance of the unknowns, which counts noise wherever
+        the curve enters the equation; chi-square (WRSS / (n - p)) and AICc of the regression; status.
 
     Raises:
         InputError: shapes do not match, frames are too few, or columns in common depend on each other.
@@ -103,16 +105,16 @@ def fit_linear(
     )
 
 
-def one_weight_a_frame(weights: Array, label: str) -> Array:
-    """The weights, if they are one a frame.
+def weights_and_noise(weights: Array, label: str) -> tuple[Array, Array]:
+    """One weight a frame (K,), and the variances that they stand for; a frame without weight counts as free of noise.
 
     Raises:
-        InputError: every curve has its own.
+        InputError: every curve has its own weights.
     """
     weights = np.asarray(weights, np.float64)
     if weights.ndim != 1:
         raise InputError(f"{label} takes one weight a frame, shared by all curves; give one row of weights.")
-    return weights
+    return weights, np.divide(1.0, weights, out=np.zeros_like(weights), where=weights > 0)
 
 
 def _frames_first(curves: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -145,9 +147,10 @@ class _Answer:
             values, variances = _read(solved, regression)
             freedom, p = self.used - self.unknowns, self.unknowns + 1
             percent = self.percent_se[:, rows]
-            np.divide(np.sqrt(variances * (solved.wrss / freedom)), np.abs(values), out=percent)
+            np.divide(np.sqrt(variances * (solved.wrss / solved.freedom)), np.abs(values), out=percent)
             percent *= 100.0
-            fit, told = np.isfinite(values[0]), percent[0] <= 100.0
+            fit = np.isfinite(values[regression.outcome])
+            told = percent[regression.outcome] <= 100.0
             good = solved.finite & (solved.total > 0.0)
             self.values[:, rows] = values
             np.divide(solved.wrss, freedom, out=self.chi2[rows])
@@ -186,7 +189,7 @@ def _predict(frames: NDArray[np.floating], design: LinearDesign, solver: LinearS
         left -= unknown[:, None] * (tissue @ operator.T)
         share -= unknown if _is_curve(operator) else 0.0
     fitted = (tissue - left / share[:, None]) / design.scale + design.offset
-    kept = (design.weights > 0) & np.isfinite(answer.values[:1].T)
+    kept = (design.weights > 0) & np.isfinite(answer.chi2)[:, None]
     return np.where(kept, fitted, np.nan)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ RNG = np.random.default_rng(7)
 ONCE = np.tril(np.ones((K, K))) - 0.5 * np.eye(K)
 OWN = (ONCE, ONCE @ ONCE)
 LATE = np.where(np.arange(K) >= 12, 0.5 + RNG.random(K), 0.0)
+NOISE = 0.5 + RNG.random(K)
 CURVES = (5.0 + RNG.random((150, K))) * np.linspace(1.0, 3.0, 150)[:, None]
 COLUMNS = pytest.mark.parametrize(("shared", "own"), [(2, 0), (1, 1), (0, 1), (2, 1), (2, 2), (3, 2)])
 
@@ -23,17 +26,21 @@ COLUMNS = pytest.mark.parametrize(("shared", "own"), [(2, 0), (1, 1), (0, 1), (2
 def design(shared: int, own: int, weights: np.ndarray = LATE, **rest) -> LinearDesign:
     rng = np.random.default_rng(3)
     columns = np.cumsum(np.abs(rng.standard_normal((shared, K))), axis=1)
-    return LinearDesign(
-        columns, np.array(OWN[:own]).reshape(own, K, K), np.eye(K), weights, rest.pop("offset", np.zeros(K)), **rest
-    )
+    operators = np.array(OWN[:own]).reshape(own, K, K)
+    return LinearDesign(columns, operators, np.eye(K), weights, NOISE, rest.pop("offset", np.zeros(K)), **rest)
 
 
-def by_numpy(d: LinearDesign, curve: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+def by_numpy(d: LinearDesign, curve: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, float]:
+    """Unknowns, WRSS, covariance at unit noise and mean WRSS at unit noise, with matrices written out."""
     y = (curve - d.offset) * d.scale
     root = np.sqrt(d.weights[d.used])
     columns = np.array([*d.shared, *(operator @ y for operator in d.own)])[:, d.used].T * root[:, None]
     theta, wrss, *_ = np.linalg.lstsq(columns, (d.response @ y)[d.used] * root)
-    return theta, wrss[0], np.linalg.inv(columns.T @ columns)
+    left = d.response - sum((t * o for t, o in zip(theta[len(d.shared) :], d.own)), np.zeros((K, K)))
+    left = (left * np.sqrt(d.noise))[d.used] * root[:, None]
+    solve = np.linalg.pinv(columns)
+    off = np.eye(len(root)) - columns @ solve
+    return theta, wrss[0], solve @ left @ left.T @ solve.T, np.trace(off @ left @ left.T)
 
 
 @COLUMNS
@@ -41,10 +48,20 @@ def test_unknowns_residuals_and_covariance_are_numpy_s(shared, own):
     d = design(shared, own, offset=np.linspace(0.0, 1.0, K), scale=1.25)
     solved = LinearSolver.prepare(d, "x").solve(np.ascontiguousarray(CURVES.T), slice(0, len(CURVES)))
     for n in range(0, len(CURVES), 7):
-        theta, wrss, covariance = by_numpy(d, CURVES[n])
+        theta, wrss, covariance, freedom = by_numpy(d, CURVES[n])
         np.testing.assert_allclose(solved.theta[:, n], theta, rtol=1e-8)
         np.testing.assert_allclose(solved.wrss[n], wrss, rtol=1e-9)
         np.testing.assert_allclose(solved.covariance[:, :, n], covariance, rtol=1e-6)
+        np.testing.assert_allclose(solved.freedom[n], freedom, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("shared", "own"), [(2, 0), (1, 0)])
+def test_with_the_weights_noise_the_covariance_is_the_usual_one(shared, own):
+    d = replace(design(shared, own), noise=np.divide(1.0, LATE, out=np.ones(K), where=LATE > 0))
+    solved = LinearSolver.prepare(d, "x").solve(np.ascontiguousarray(CURVES.T), slice(0, 3))
+    columns = d.shared[:, d.used].T * np.sqrt(LATE[d.used])[:, None]
+    np.testing.assert_allclose(solved.covariance[:, :, 1], np.linalg.inv(columns.T @ columns), rtol=1e-8)
+    np.testing.assert_allclose(solved.freedom, len(d.used) - shared, rtol=1e-10)
 
 
 @pytest.mark.parametrize(("shared", "own"), [(2, 0), (1, 1), (2, 1), (2, 2), (3, 2)])
@@ -109,9 +126,9 @@ def test_errors_are_those_of_quantities_by_the_delta_method():
 
     quantities = Quantity("ratio", "", ""), Quantity("b", "", "")
     result = fit_linear(CURVES, d, Regression("x", quantities, read), settings={"c": 1}, keep_predicted=False)
-    theta, wrss, covariance = by_numpy(d, CURVES[4])
+    theta, wrss, covariance, freedom = by_numpy(d, CURVES[4])
     slope = np.array([1 / theta[1], -theta[0] / theta[1] ** 2])
-    error = np.sqrt(slope @ covariance @ slope * wrss / (len(d.used) - 2))
+    error = np.sqrt(slope @ covariance @ slope * wrss / freedom)
     assert result["ratio"][4] == pytest.approx(theta[0] / theta[1], rel=1e-9)
     assert result.percent_se("ratio")[4] == pytest.approx(100 * error / abs(theta[0] / theta[1]), rel=1e-6)
     assert result.settings == {"c": 1, "frames_used": 14}
@@ -120,7 +137,7 @@ def test_errors_are_those_of_quantities_by_the_delta_method():
 def test_the_fitted_curve_solves_the_equation_where_the_curve_stands_outside_integrals():
     cases = ((np.zeros((0, K, K)), np.eye(K), 1.0), (OWN[:1], np.eye(K), 1.0), ([np.eye(K)], ONCE, None))
     for own, response, share in cases:
-        d = LinearDesign(design(1, 0).shared, np.asarray(own), response, LATE, np.full(K, 0.3), 1.1)
+        d = LinearDesign(design(1, 0).shared, np.asarray(own), response, LATE, NOISE, np.full(K, 0.3), 1.1)
         result = fit_linear(CURVES[:4], d, Regression("x", (Quantity("a", "", ""),)), settings={}, keep_predicted=True)
         assert result.predicted is not None
         for curve, fitted in zip(CURVES, result.predicted):
@@ -134,6 +151,6 @@ def test_the_fitted_curve_solves_the_equation_where_the_curve_stands_outside_int
 def test_what_cannot_be_solved_is_refused():
     with pytest.raises(InputError, match="x has 4 unknowns but only 4 frames"):
         LinearSolver.prepare(design(2, 2, np.where(np.arange(K) < 4, 1.0, 0.0)), "x")
-    empty = LinearDesign(np.zeros((1, K)), np.eye(K)[None], ONCE, LATE, np.zeros(K))
+    empty = LinearDesign(np.zeros((1, K)), np.eye(K)[None], ONCE, LATE, NOISE, np.zeros(K))
     with pytest.raises(InputError, match="x: the input says nothing in the 14 frames used"):
         LinearSolver.prepare(empty, "x")

@@ -69,7 +69,7 @@ def _speed_rows(voxels: int, by_hand: int, *, quick: bool) -> list[dict[str, obj
         rows.append(
             measure_model(model, frames=frames, percent=percent, voxels=voxels, by_hand=by_hand, judged=by_hand)
         )
-    rows += [measure_graphical(label, voxels=voxels) for label in ("Patlak", "Logan")]
+    rows += [measure_graphical(label, voxels=voxels) for label in ("Patlak", "Logan", "MA1")]
     typer.echo("a whole image ...", err=True)
     with tempfile.TemporaryDirectory() as folder:
         shape = (32, 32, 16) if quick else SHAPE

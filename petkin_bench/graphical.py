@@ -1,16 +1,15 @@
-"""Patlak and Logan plots of the test problem's voxels, against a loop over voxels and against bare numpy products.
+"""Patlak, Logan and MA1 of the test problem's voxels, against a loop over voxels and against bare numpy products.
 
-The bare products return a slope and an intercept and nothing else: no errors, no status, no check of the curves.
+The bare products return two unknowns and nothing else: no errors, no status, no check of the curves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.fitting import GraphicalSettings, fit_logan, fit_patlak
+from petkin.fitting import Choices, Given
+from petkin.methods import find_method
 from petkin_bench.problems import FitProblem, fit_problem
 from petkin_bench.speed import as_read
 from petkin_bench.timing import measure
@@ -19,18 +18,19 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _T_STAR = 20.0
-_POLYFITS = 300
+_BY_HAND = 300
 
 
 def measure_graphical(label: str, *, voxels: int) -> dict[str, object]:
-    """One row: Patlak or Logan with errors and status; by hand is np.polyfit voxel by voxel."""
+    """One row: a method with errors and status; by hand is a least-squares call voxel by voxel."""
     problem = fit_problem(voxels=voxels, frames=26, percent=5.0)
-    plot, axes, product = _PLOTS[label]
-    curves, settings = as_read(problem), GraphicalSettings(_T_STAR, keep_predicted=False)
+    by_hand, product = _BASELINES[label]
+    method, curves = find_method(label), as_read(problem)
+    given = Given(problem.observation, problem.weights, problem.arterial)
     late, area = problem.observation.frames.mid >= _T_STAR, problem.closed_form.basis(0.0)
-    loop = measure(lambda: _polyfit(problem, late, area, axes), 1)
+    loop = measure(lambda: [by_hand(problem, late, area, curve) for curve in problem.curves[:_BY_HAND]], 1)
     bare = measure(lambda: product(problem, curves, late, area))
-    ours = measure(lambda: plot(curves, problem.arterial, problem.observation, problem.weights, settings))
+    ours = measure(lambda: method.fit(curves, given, Choices(t_star=_T_STAR), True))
     return {
         "fit": label,
         "frames": 26,
@@ -38,30 +38,29 @@ def measure_graphical(label: str, *, voxels: int) -> dict[str, object]:
         "voxels": voxels,
         "voxels_per_s": voxels / ours.wall,
         "cpu_us_per_voxel": 1e6 * ours.cpu / voxels,
-        "by_hand_cpu_us": 1e6 * loop.cpu / _POLYFITS,
-        "ratio_cpu": loop.cpu / _POLYFITS * voxels / ours.cpu,
+        "by_hand_cpu_us": 1e6 * loop.cpu / _BY_HAND,
+        "ratio_cpu": loop.cpu / _BY_HAND * voxels / ours.cpu,
         "product_cpu_us": 1e6 * bare.cpu / voxels,
-        "baseline": "np.polyfit a voxel, values only",
+        "baseline": "np.polyfit or lstsq a voxel, values only",
     }
 
 
-def _polyfit(problem: FitProblem, late: Flags, area: Array, axes: Callable[..., tuple[Array, Array]]) -> list[Array]:
-    weights = np.sqrt(problem.weights[late])
-    lines = []
-    for n in range(_POLYFITS):
-        x, y = axes(problem, area, problem.curves[n])
-        lines.append(np.polyfit(x[late], y[late], 1, w=weights))
-    return lines
+def _patlak_by_hand(problem: FitProblem, late: Flags, area: Array, curve: Array) -> NDArray[np.floating]:
+    blood = problem.closed_form.blood[late]
+    return np.polyfit(area[late] / blood, curve[late] / blood, 1, w=np.sqrt(problem.weights[late]))
 
 
-def _patlak_axes(problem: FitProblem, area: Array, curve: Array) -> tuple[Array, Array]:
-    blood = problem.closed_form.blood
-    return area / blood, curve / blood
-
-
-def _logan_axes(problem: FitProblem, area: Array, curve: Array) -> tuple[Array, Array]:
+def _logan_by_hand(problem: FitProblem, late: Flags, area: Array, curve: Array) -> NDArray[np.floating]:
     whole = curve * problem.closed_form.duration
-    return area / curve, (np.cumsum(whole) - 0.5 * whole) / curve
+    y = (np.cumsum(whole) - 0.5 * whole)[late] / curve[late]
+    return np.polyfit(area[late] / curve[late], y, 1, w=np.sqrt(problem.weights[late]))
+
+
+def _ma1_by_hand(problem: FitProblem, late: Flags, area: Array, curve: Array) -> NDArray[np.floating]:
+    whole = curve * problem.closed_form.duration
+    columns = np.stack([area, np.cumsum(whole) - 0.5 * whole], axis=1)[late]
+    root = np.sqrt(problem.weights[late])
+    return np.linalg.lstsq(columns * root[:, None], curve[late] * root)[0]
 
 
 def _patlak_product(problem: FitProblem, curves: NDArray[np.float32], late: Flags, area: Array) -> NDArray[np.floating]:
@@ -84,7 +83,19 @@ def _logan_product(problem: FitProblem, curves: NDArray[np.float32], late: Flags
     return np.stack([slope, my - slope * mx])
 
 
-_PLOTS = {
-    "Patlak": (fit_patlak, _patlak_axes, _patlak_product),
-    "Logan": (fit_logan, _logan_axes, _logan_product),
+def _ma1_product(problem: FitProblem, curves: NDArray[np.float32], late: Flags, area: Array) -> NDArray[np.floating]:
+    """Normal equations of two columns from sums over frames."""
+    frames = curves.T
+    whole = frames * problem.closed_form.duration[:, None].astype(np.float32)
+    z, y = (np.cumsum(whole, axis=0) - 0.5 * whole)[late], frames[late]
+    w, x = problem.weights[late].astype(np.float32), area[late].astype(np.float32)
+    xx, xz, zz, xy, zy = (w * x) @ x, (w * x) @ z, w @ (z * z), (w * x) @ y, w @ (z * y)
+    determinant = xx * zz - xz * xz
+    return np.stack([xy * zz - zy * xz, zy * xx - xy * xz]) / determinant
+
+
+_BASELINES = {
+    "Patlak": (_patlak_by_hand, _patlak_product),
+    "Logan": (_logan_by_hand, _logan_product),
+    "MA1": (_ma1_by_hand, _ma1_product),
 }

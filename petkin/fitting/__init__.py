@@ -1,9 +1,8 @@
-"""Fitting: weights, the basis table, compartment models by voxel and region, graphical methods, delay, results."""
+"""Fitting: weights, the basis table, compartment models by voxel and region, linear regressions, delay, results."""
 
 from petkin.fitting.choices import Choices
 from petkin.fitting.delay import Delay, estimate_delay
 from petkin.fitting.given import Given, Need, ReferenceCurve
-from petkin.fitting.graphical import GraphicalSettings, fit_logan, fit_patlak
 from petkin.fitting.nonlinear import NonlinearSettings, fit_curves
 from petkin.fitting.results import Estimate, FitResult, Plot, Status, undetermined
 from petkin.fitting.search import REGIONS, VOXELS, Effort
@@ -18,7 +17,6 @@ __all__ = [
     "Estimate",
     "FitResult",
     "Given",
-    "GraphicalSettings",
     "Need",
     "NonlinearSettings",
     "Plot",
@@ -27,7 +25,5 @@ __all__ = [
     "counting_weights",
     "estimate_delay",
     "fit_curves",
-    "fit_logan",
-    "fit_patlak",
     "undetermined",
 ]

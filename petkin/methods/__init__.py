@@ -5,6 +5,9 @@ from petkin.kinetics import MODELS
 from petkin.methods.checks import check_choices
 from petkin.methods.compartments import compartments
 from petkin.methods.logan import LOGAN
+from petkin.methods.ls2tcm import LS2TCM
+from petkin.methods.ma1 import MA1
+from petkin.methods.ma2 import MA2
 from petkin.methods.method import Method
 from petkin.methods.patlak import PATLAK
 from petkin.methods.suv import SUV
@@ -14,6 +17,9 @@ METHODS = (
     *map(compartments, MODELS),
     PATLAK,
     LOGAN,
+    MA1,
+    MA2,
+    LS2TCM,
     SUV,
     SUVR,
 )

@@ -11,7 +11,7 @@ from petkin.fitting.table import Compression
 Array = NDArray[np.float64]
 
 #: Curves handled at a time.
-_BLOCK = 64
+BLOCK = 64
 #: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
 _LARGEST = 1e30
 
@@ -31,40 +31,82 @@ def project_curves(packed: Compression, weights: Array, frames: NDArray[np.float
     z = np.empty((packed.size, stop - start))
     sizes = np.empty(stop - start)
     finite = np.empty(stop - start, np.bool_)
-    scratch = np.zeros((frames.shape[0], _BLOCK)), np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
-    _project(frames, start, packed.project, weights, z, sizes, finite, scratch)
+    room = np.zeros(frames.shape[0] * BLOCK), np.empty(packed.size * BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    _project_all(frames, start, packed.project, weights, z, sizes, finite, room)
     return z, sizes, finite
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def _project(frames, start, project, weights, z, sizes, finite, scratch):
-    y, total, wrong, out = scratch
-    for first in range(0, z.shape[1], _BLOCK):
-        width = min(_BLOCK, z.shape[1] - first)
-        for n in range(_BLOCK):
-            total[n], wrong[n] = 0.0, 0.0
-        for k in range(frames.shape[0]):
-            for n in range(width):
-                y[k, n] = frames[k, start + first + n]
-            for n in range(_BLOCK):
-                total[n] += weights[k] * y[k, n] * y[k, n]
-                wrong[n] += 0.0 if abs(y[k, n]) < _LARGEST else 1.0
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project_all(frames, start, project, weights, z, sizes, finite, room):
+    y, out, total, plain = room
+    for first in range(0, z.shape[1], BLOCK):
+        width = min(BLOCK, z.shape[1] - first)
+        _read(frames, start + first, width, y)
+        _measure(weights, y, total, plain)
         for n in range(width):
-            good = wrong[n] == 0.0
-            finite[first + n] = good
-            sizes[first + n] = total[n] if good else 0.0
+            finite[first + n] = plain[n] < _LARGEST * _LARGEST
+            sizes[first + n] = total[n]
+        _project(project, y, out)
         for r in range(project.shape[0]):
-            for n in range(_BLOCK):
-                out[n] = 0.0
-            k = 0
-            while k + 4 <= project.shape[1]:
-                q0, q1, q2, q3 = project[r, k], project[r, k + 1], project[r, k + 2], project[r, k + 3]
-                for n in range(_BLOCK):
-                    out[n] += (q0 * y[k, n] + q1 * y[k + 1, n]) + (q2 * y[k + 2, n] + q3 * y[k + 3, n])
-                k += 4
-            while k < project.shape[1]:
-                for n in range(_BLOCK):
-                    out[n] += project[r, k] * y[k, n]
-                k += 1
             for n in range(width):
-                z[r, first + n] = out[n] if finite[first + n] else 0.0
+                z[r, first + n] = out[r * BLOCK + n]
+
+
+@njit(cache=True, error_model="numpy")
+def _read(frames, first, width, y):
+    for k in range(frames.shape[0]):
+        here, there = frames[k, first : first + width], y[k * BLOCK : k * BLOCK + width]
+        for n in range(width):
+            there[n] = here[n]
+
+
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def _measure(weights, y, total, plain):
+    """Weighted and plain sums of squares of a block of curves; zeros for those that are not finite."""
+    frames = len(weights)
+    for n in range(BLOCK):
+        total[n], plain[n] = 0.0, 0.0
+    k = 0
+    while k + 4 <= frames:
+        w0, w1, w2, w3 = weights[k], weights[k + 1], weights[k + 2], weights[k + 3]
+        for n in range(BLOCK):
+            i = k * BLOCK + n
+            y0, y1, y2, y3 = y[i], y[i + BLOCK], y[i + 2 * BLOCK], y[i + 3 * BLOCK]
+            y0, y1, y2, y3 = y0 * y0, y1 * y1, y2 * y2, y3 * y3
+            total[n] += (w0 * y0 + w1 * y1) + (w2 * y2 + w3 * y3)
+            plain[n] += (y0 + y1) + (y2 + y3)
+        k += 4
+    while k < frames:
+        for n in range(BLOCK):
+            square = y[k * BLOCK + n] * y[k * BLOCK + n]
+            total[n] += weights[k] * square
+            plain[n] += square
+        k += 1
+    for n in range(BLOCK):
+        if not plain[n] < _LARGEST * _LARGEST:
+            total[n] = 0.0
+            for k in range(frames):
+                y[k * BLOCK + n] = 0.0
+
+
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def _project(axes, y, out):
+    """axes @ y, eight frames at a time."""
+    frames = axes.shape[1]
+    for r in range(axes.shape[0]):
+        for n in range(BLOCK):
+            out[r * BLOCK + n] = 0.0
+        k = 0
+        while k + 8 <= frames:
+            a0, a1, a2, a3 = axes[r, k], axes[r, k + 1], axes[r, k + 2], axes[r, k + 3]
+            a4, a5, a6, a7 = axes[r, k + 4], axes[r, k + 5], axes[r, k + 6], axes[r, k + 7]
+            for n in range(BLOCK):
+                i = k * BLOCK + n
+                near = (a0 * y[i] + a1 * y[i + BLOCK]) + (a2 * y[i + 2 * BLOCK] + a3 * y[i + 3 * BLOCK])
+                far = (a4 * y[i + 4 * BLOCK] + a5 * y[i + 5 * BLOCK]) + (a6 * y[i + 6 * BLOCK] + a7 * y[i + 7 * BLOCK])
+                out[r * BLOCK + n] += near + far
+            k += 8
+        while k < frames:
+            for n in range(BLOCK):
+                out[r * BLOCK + n] += axes[r, k] * y[k * BLOCK + n]
+            k += 1

@@ -37,6 +37,7 @@ _REACH = 2.0
 _STAGE, _ROUNDS, _THIRD, _BEFORE = range(4)
 
 #: Sums may be reassociated; NaN and infinity keep their meaning.
+_STRICT = {"contract", "nsz"}
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 
@@ -52,9 +53,9 @@ class Tables(NamedTuple):
             (nodes - 1, OWN).
         coarse: nodes of the look-up (C,).
         atoms, lead, near: unit atoms off the blood axis there, their lean on it, their Gram matrix; any precision.
-        toward: gram to the coarse nodes, each of unit length (2 nodes, C).
-        lean: blood component of those (C,).
-        lengths: |b| of the coarse nodes (C,).
+        units: unit vectors along b at the coarse nodes (C, R).
+        lean: their lean on the axis (C,).
+        toward: rows to those, flat (2 nodes * C,).
     """
 
     blood: float
@@ -67,15 +68,17 @@ class Tables(NamedTuple):
     atoms: NDArray[np.floating]
     lead: NDArray[np.floating]
     near: NDArray[np.floating]
-    toward: NDArray[np.float64]
+    units: NDArray[np.float64]
     lean: NDArray[np.float64]
-    lengths: NDArray[np.float64]
+    toward: NDArray[np.float64]
 
 
 class Scratch(NamedTuple):
     """Room to work in, made once a call."""
 
-    seen: NDArray[np.float64]
+    curves: NDArray[np.float64]
+    room: NDArray[np.float64]
+    beside: NDArray[np.float64]
     scaled: NDArray[np.floating]
     projections: NDArray[np.floating]
     scores: NDArray[np.floating]
@@ -83,7 +86,6 @@ class Scratch(NamedTuple):
     work: NDArray[np.float64]
     curve: NDArray[np.int64]
     plan: NDArray[np.float64]
-    along: NDArray[np.float64]
     found: NDArray[np.float64]
 
 
@@ -105,7 +107,9 @@ def search(
     """
     nodes, precision = len(tables.coarse), tables.atoms.dtype
     scratch = Scratch(
-        seen=np.empty((BLOCK, tables.rows.shape[1])),
+        curves=np.empty((BLOCK, len(z))),
+        room=np.empty(BLOCK),
+        beside=np.empty((BLOCK, nodes)),
         scaled=np.zeros((len(z), GROUP), precision),
         projections=np.empty((nodes, GROUP), precision),
         scores=np.empty(GROUP, precision),
@@ -113,7 +117,6 @@ def search(
         work=np.zeros(ROWS * LANES),
         curve=np.empty(LANES, np.int64),
         plan=np.empty((BLOCK, 4)),
-        along=np.empty(nodes),
         found=np.empty((BLOCK, 7)),
     )
     answer = np.empty((7, z.shape[1]))
@@ -124,12 +127,12 @@ def search(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _search(z, sizes, tables, scratch, tolerance, again, answer):
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
-    blood, low, spacing, rows, gram, own, coarse, atoms, lead, near, toward, lean, lengths = tables
-    seen, scaled, projections, scores, chosen, work, curve, plan, along, found = scratch
+    blood, low, spacing, rows, gram, own, coarse, atoms, lead, near, units, lean, toward = tables
+    curves, room, beside, scaled, projections, scores, chosen, work, curve, plan, found = scratch
     last, reach = float(own.shape[0]), _REACH / spacing
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
-        _see(z, start, size, rows, seen)
+        _see(z, start, size, units, curves, room, beside)
         for first in range(0, size, GROUP):
             _scale(z, sizes, start + first, min(GROUP, size - first), scaled)
             look_up(scaled, atoms, lead, near, blood > 0.0, projections, scores, chosen[first : first + GROUP])
@@ -145,7 +148,7 @@ def _search(z, sizes, tables, scratch, tolerance, again, answer):
                 used, fed = used + 1, fed + 1
             if used == 0:
                 break
-            _gather(work, used, curve, gram, own, seen)
+            _gather(work, used, curve, curves, rows, gram, own)
             registers = (used + REGISTER - 1) // REGISTER
             lanes.evaluate(work, registers, blood)
             lanes.propose(work, registers, last, reach, tolerance)
@@ -156,21 +159,7 @@ def _search(z, sizes, tables, scratch, tolerance, again, answer):
                     continue
                 v = curve[n]
                 _settle(work, n, found, v, plan[v, _STAGE] == 0.0)
-                x, y = _again(
-                    found,
-                    plan,
-                    v,
-                    seen,
-                    blood,
-                    own.shape[0],
-                    coarse,
-                    toward,
-                    lean,
-                    lengths,
-                    along,
-                    tolerance,
-                    again,
-                )
+                x, y = _again(found, plan, v, beside, blood, coarse, lean, toward, tolerance, again)
                 if x >= 0.0:
                     _enter(work, n, x, y)
                     n += 1
@@ -179,6 +168,7 @@ def _search(z, sizes, tables, scratch, tolerance, again, answer):
                     curve[n] = curve[used]
                     for row in range(lanes.STATE):
                         work[row * LANES + n] = work[row * LANES + used]
+                    work[lanes.CELL_1 * LANES + n] = work[lanes.CELL_2 * LANES + n] = -1.0
         _hand_over(found, start, size, low, spacing, answer)
 
 
@@ -195,26 +185,29 @@ def _hand_over(found, start, size, low, spacing, answer):
         answer[X0, n], answer[COST, n], answer[STEPS, n] = found[v, X0], found[v, COST], found[v, STEPS]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _see(z, start, size, rows, seen):
-    """Every row of the table on every curve of the block, eight directions at a time."""
-    for v in range(size):
-        n = start + v
-        for k in range(rows.shape[1]):
-            seen[v, k] = 0.0
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def _see(z, start, size, units, curves, room, beside):
+    """A block's curves, one after another, and their components along the coarse nodes."""
+    for r in range(z.shape[0]):
+        here = z[r, start : start + size]
+        for v in range(size):
+            curves[v, r] = here[v]
+    for c in range(units.shape[0]):
+        for v in range(size):
+            room[v] = 0.0
         r = 0
-        while r + 8 <= rows.shape[0]:
-            z0, z1, z2, z3 = z[r, n], z[r + 1, n], z[r + 2, n], z[r + 3, n]
-            z4, z5, z6, z7 = z[r + 4, n], z[r + 5, n], z[r + 6, n], z[r + 7, n]
-            for k in range(rows.shape[1]):
-                seen[v, k] += (
-                    (z0 * rows[r, k] + z1 * rows[r + 1, k]) + (z2 * rows[r + 2, k] + z3 * rows[r + 3, k])
-                ) + ((z4 * rows[r + 4, k] + z5 * rows[r + 5, k]) + (z6 * rows[r + 6, k] + z7 * rows[r + 7, k]))
-            r += 8
-        while r < rows.shape[0]:
-            for k in range(rows.shape[1]):
-                seen[v, k] += z[r, n] * rows[r, k]
+        while r + 4 <= units.shape[1]:
+            u0, u1, u2, u3 = units[c, r], units[c, r + 1], units[c, r + 2], units[c, r + 3]
+            z0, z1, z2, z3 = z[r, start:], z[r + 1, start:], z[r + 2, start:], z[r + 3, start:]
+            for v in range(size):
+                room[v] += (u0 * z0[v] + u1 * z1[v]) + (u2 * z2[v] + u3 * z3[v])
+            r += 4
+        while r < units.shape[1]:
+            for v in range(size):
+                room[v] += units[c, r] * z[r, start + v]
             r += 1
+        for v in range(size):
+            beside[v, c] = room[v]
 
 
 @njit(cache=True, error_model="numpy")
@@ -226,43 +219,58 @@ def _scale(z, sizes, start, count, scaled):
             scaled[r, n] = z[r, start + n] * scale
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _enter(work, n, x, y):
     """Start a polish from the positions x, y in lane n: the first trial counts as a gain."""
     for row in range(lanes.SIZE):
         work[row * LANES + n] = 0.0
     work[lanes.TRIAL_1 * LANES + n], work[lanes.TRIAL_2 * LANES + n] = x, y
+    work[lanes.CELL_1 * LANES + n] = work[lanes.CELL_2 * LANES + n] = -1.0
     work[lanes.GAIN * LANES + n] = -1.0
     work[lanes.DAMPING * LANES + n] = 1e-2
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(work, count, curve, gram, own, seen):
-    """What the formulas need at every lane's trial. Unsigned indices are known not to count from the end."""
-    last = np.uint64(own.shape[0] - 1)
-    two = np.uint64(2)
+def _gather(work, count, curve, curves, rows, gram, own):
+    """What the formulas need at every lane's trial, where its cell is another than before."""
+    # Unsigned indices are known not to count from the end.
+    last, two = np.uint64(own.shape[0] - 1), np.uint64(2)
     for n in range(count):
-        v = np.uint64(curve[n])
-        x = work[lanes.TRIAL_1 * LANES + n]
-        i = min(np.uint64(x), last)
-        work[lanes.FRACTION_1 * LANES + n] = x - i
-        for k in range(OWN):
-            work[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
-        for k in range(4):
-            work[(lanes.SEEN_1 + k) * LANES + n] = seen[v, two * i + np.uint64(k)]
-        y = work[lanes.TRIAL_2 * LANES + n]
-        j = min(np.uint64(y), last)
-        work[lanes.FRACTION_2 * LANES + n] = y - j
-        for k in range(OWN):
-            work[(lanes.OWN_2 + k) * LANES + n] = own[j, np.uint64(k)]
-        for k in range(4):
-            row = two * j + np.uint64(k)
-            work[(lanes.SEEN_2 + k) * LANES + n] = seen[v, row]
-            for m in range(4):
-                work[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[row, two * i + np.uint64(m)]
+        x, y = work[lanes.TRIAL_1 * LANES + n], work[lanes.TRIAL_2 * LANES + n]
+        i, j = min(np.uint64(x), last), min(np.uint64(y), last)
+        work[lanes.FRACTION_1 * LANES + n], work[lanes.FRACTION_2 * LANES + n] = x - i, y - j
+        new_1, new_2 = work[lanes.CELL_1 * LANES + n] != i, work[lanes.CELL_2 * LANES + n] != j
+        if new_1:
+            work[lanes.CELL_1 * LANES + n] = i
+            _gather_one(work, n, i, lanes.OWN_1, lanes.SEEN_1, curves[curve[n]], rows, own)
+        if new_2:
+            work[lanes.CELL_2 * LANES + n] = j
+            _gather_one(work, n, j, lanes.OWN_2, lanes.SEEN_2, curves[curve[n]], rows, own)
+        if new_1 | new_2:
+            for k in range(4):
+                for m in range(4):
+                    work[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[two * j + np.uint64(k), two * i + np.uint64(m)]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _gather_one(work, n, cell, own_row, seen_row, z, rows, own):
+    """The record of a cell, and its four rows on the curve."""
+    for k in range(OWN):
+        work[(own_row + k) * LANES + n] = own[cell, np.uint64(k)]
+    first = np.uint64(2) * cell
+    second, third, fourth = first + np.uint64(1), first + np.uint64(2), first + np.uint64(3)
+    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    for r in range(len(z)):
+        here = z[r]
+        s0 += rows[r, first] * here
+        s1 += rows[r, second] * here
+        s2 += rows[r, third] * here
+        s3 += rows[r, fourth] * here
+    k = seen_row * LANES + n
+    work[k], work[k + LANES], work[k + 2 * LANES], work[k + 3 * LANES] = s0, s1, s2, s3
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _settle(work, n, out, v, first):
     """A lane's end into the answer (positions instead of u), if it is the first or better than what is there."""
     cost = work[lanes.SIZE * LANES + n] - work[lanes.GAIN * LANES + n]
@@ -272,8 +280,8 @@ def _settle(work, n, out, v, first):
         out[v, X2], out[v, COST], out[v, STEPS] = work[lanes.SECOND * LANES + n], cost, work[lanes.STEPS * LANES + n]
 
 
-@njit(cache=True, error_model="numpy")
-def _again(out, plan, v, seen, blood, intervals, coarse, toward, lean, lengths, along, tolerance, again):
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _again(out, plan, v, beside, blood, coarse, lean, toward, tolerance, again):
     """Positions of the curve's next polish, or -1 where it is finished."""
     if plan[v, _STAGE] == 1.0 and out[v, X2] > 0.0:
         plan[v, _STAGE] = 2.0
@@ -282,9 +290,11 @@ def _again(out, plan, v, seen, blood, intervals, coarse, toward, lean, lengths, 
         return -1.0, 0.0
     if plan[v, _ROUNDS] == _MOST_ROUNDS:
         return -1.0, 0.0
-    gain, node = _point(out, v, seen, blood, intervals, coarse, toward, lean, lengths, along)
-    if node < 0 or gain <= again * out[v, COST]:
+    first, second = _taken(out[v, U1], out[v, X1], lean, toward), _taken(out[v, U2], out[v, X2], lean, toward)
+    taken = (first, second, out[v, X0] * blood)
+    if _count_above(np.sqrt(again * out[v, COST]), beside, v, taken, lean, toward) == 0:
         return -1.0, 0.0
+    node = _steepest(beside, v, taken, lean, toward)
     third = float(coarse[node])
     plan[v, _ROUNDS] += 1.0
     plan[v, _THIRD], plan[v, _BEFORE] = third, out[v, COST]
@@ -293,21 +303,40 @@ def _again(out, plan, v, seen, blood, intervals, coarse, toward, lean, lengths, 
     return max(keep, third), min(keep, third)
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def _point(out, v, seen, blood, intervals, coarse, toward, lean, lengths, along):
-    """Largest (r . b / |b|)^2 over coarse nodes with r . b > 0, and its node (-1 if none); r the residual."""
-    i, j = min(int(out[v, U1]), intervals - 1), min(int(out[v, U2]), intervals - 1)
-    a0, a1, a2, a3 = lanes.value_weights(out[v, U1] - i)
-    b0, b1, b2, b3 = lanes.value_weights(out[v, U2] - j)
-    one, two = -out[v, X1], -out[v, X2]
-    i, j, bled = 2 * i, 2 * j, out[v, X0] * blood
-    for c in range(len(coarse)):
-        along[c] = seen[v, 2 * coarse[c]] / lengths[c]
-    for c in range(len(coarse)):
-        first = a0 * toward[i, c] + a1 * toward[i + 1, c] + a2 * toward[i + 2, c] + a3 * toward[i + 3, c]
-        other = b0 * toward[j, c] + b1 * toward[j + 1, c] + b2 * toward[j + 2, c] + b3 * toward[j + 3, c]
-        along[c] += one * first + two * other - bled * lean[c]
-    node = 0
-    for c in range(1, len(coarse)):
-        node = c if along[c] > along[node] else node
-    return (along[node] ** 2, node) if along[node] > 0.0 else (0.0, -1)
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _along(c, beside, v, taken, lean, toward):
+    """What the residual holds along coarse node c."""
+    (i, a0, a1, a2, a3), (j, b0, b1, b2, b3), bled = taken
+    p, q, nodes = i + np.uint64(c), j + np.uint64(c), np.uint64(len(lean))
+    twice = nodes + nodes
+    first = (a0 * toward[p] + a1 * toward[p + nodes]) + (a2 * toward[p + twice] + a3 * toward[p + twice + nodes])
+    second = (b0 * toward[q] + b1 * toward[q + nodes]) + (b2 * toward[q + twice] + b3 * toward[q + twice + nodes])
+    return beside[v, np.uint64(c)] - bled * lean[c] - first - second
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _taken(position, x, lean, toward):
+    """Where the four rows of an exponential begin in `toward`, and what they are weighted by."""
+    nodes = len(lean)
+    i = min(int(position), len(toward) // (2 * nodes) - 2)
+    a0, a1, a2, a3 = lanes.value_weights(position - i)
+    return np.uint64(2 * i * nodes), x * a0, x * a1, x * a2, x * a3
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _count_above(threshold, beside, v, taken, lean, toward):
+    """Coarse nodes along which the residual exceeds the threshold."""
+    count = 0
+    for c in range(len(lean)):
+        count += _along(c, beside, v, taken, lean, toward) > threshold
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _steepest(beside, v, taken, lean, toward):
+    """The coarse node along which it is largest."""
+    node, top = 0, -np.inf
+    for c in range(len(lean)):
+        here = _along(c, beside, v, taken, lean, toward)
+        node, top = (c, here) if here > top else (node, top)
+    return node

@@ -34,9 +34,11 @@ MAX_STEPS = 60
 POSITION_1, POSITION_2, TRIAL_1, TRIAL_2, BLOOD, FIRST, SECOND, GAIN = range(8)
 SLOPE_1, SLOPE_2, CURVE_11, CURVE_12, CURVE_22, DAMPING, EXPECTED, STEPS, DONE, SIZE, BLOOD_SEEN = range(8, 19)
 STATE = 19
-# ... and what is gathered at its trial: fractions between nodes, records of `own`, rows on the curve, their Gram block.
+# ... and what is gathered at its trial: fractions between nodes, records of `own`, rows on the curve, their Gram block;
+# cells.
 FRACTION_1, FRACTION_2, OWN_1, OWN_2, SEEN_1, SEEN_2, CROSS = 19, 20, 21, 35, 49, 53, 57
-ROWS = 73
+CELL_1, CELL_2 = 73, 74
+ROWS = 75
 
 #: Entries of a record of `own`: see `search`.
 OWN = 14

@@ -114,9 +114,9 @@ def search_tables(
         atoms=atoms.astype(np.float32),
         lead=lead.astype(np.float32),
         near=(atoms @ atoms.T).astype(np.float32),
-        toward=products.gram[:, 2 * coarse] / lengths,
+        units=packed.basis[coarse] / lengths[:, None],
         lean=packed.basis[coarse, 0] / lengths,
-        lengths=lengths,
+        toward=(products.gram[:, 2 * coarse] / lengths).ravel(),
     )
 
 

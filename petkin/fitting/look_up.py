@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 #: Curves scored together.
-GROUP = 64
+GROUP = 128
 
 #: Sums may be reassociated here; NaN and infinity keep their meaning.
 _FAST = {"reassoc", "contract", "nsz", "arcp"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from petkin.errors import InputError
 from petkin.fitting.results import FitResult, Status
 from petkin.imaging import FrameSchedule
 from petkin.reporting.input_curves import InputCurves
+from petkin.reporting.planes import Plane, orthogonal_planes
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,16 @@ class MapSet:
     axes: str = ""
     settings: Mapping[str, object] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def inside(self) -> NDArray[np.bool_]:
+        """The mask."""
+        return self.status != Status.OUTSIDE
+
+    @cached_property
+    def planes(self) -> list[Plane]:
+        """Where its pictures are cut."""
+        return orthogonal_planes(self.inside, self.voxel_mm, self.axes)
 
     def __post_init__(self) -> None:
         if self.status.ndim != 3:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from petkin.fitting.results import Status
 from petkin.reporting.canvas import INK, QUIET, Picture, new_figure, picture
 from petkin.reporting.contents import MapSet, ParameterMap
-from petkin.reporting.planes import Plane, orthogonal_planes
+from petkin.reporting.planes import Plane
 from petkin.reporting.verdict import status_counts
 from petkin.reporting.wording import count, number, percent, status_short, symbol_math, unit_text, with_unit
 
@@ -65,7 +65,7 @@ def value_figure(maps: MapSet, entry: ParameterMap) -> Figure:
 def error_figure(maps: MapSet, entry: ParameterMap) -> Figure:
     """Planes of its standard error in percent, from 0 to at most 100."""
     values = np.full(maps.status.shape, np.nan) if entry.percent_se is None else entry.percent_se
-    high = min(robust_limits(values[maps.status != Status.OUTSIDE])[1], 100.0)
+    high = min(robust_limits(values[maps.inside])[1], 100.0)
     label = f"SE of {symbol_math(entry.symbol)} (%)"
     return _coloured(maps, values, _ERROR_COLOURS, label, limits=(0.0, high if high > 0 else 1.0))
 
@@ -75,9 +75,8 @@ def status_figure(maps: MapSet) -> Figure:
     from matplotlib.colors import to_rgba
     from matplotlib.patches import Patch
 
-    planes = _planes(maps)
-    figure, axes, left = _laid_out(planes, _LEGEND)
-    for plane, ax in zip(planes, axes):
+    figure, axes, left = _laid_out(maps.planes, _LEGEND)
+    for plane, ax in zip(maps.planes, axes):
         codes = plane.cut(maps.status)
         rgba = np.zeros((*codes.shape, 4))
         for code in np.unique(codes[codes != Status.OUTSIDE]):
@@ -117,28 +116,23 @@ def robust_limits(values: NDArray[np.floating]) -> tuple[float, float]:
     return low, high
 
 
-def _planes(maps: MapSet) -> list[Plane]:
-    return orthogonal_planes(maps.status != Status.OUTSIDE, maps.voxel_mm, maps.axes)
-
-
 def _coloured(
     maps: MapSet, values: NDArray[np.floating], colours: str, label: str, *, limits: tuple[float, float] | None = None
 ) -> Figure:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    inside = maps.status != Status.OUTSIDE
-    low, high = limits or robust_limits(values[inside])
+    inside = values[maps.inside]
+    low, high = limits or robust_limits(inside)
     colouring = ScalarMappable(Normalize(low, high, clip=True), colours)
-    planes = _planes(maps)
-    figure, axes, left = _laid_out(planes, _BAR + _BAR_LABELS)
-    for plane, ax in zip(planes, axes):
+    figure, axes, left = _laid_out(maps.planes, _BAR + _BAR_LABELS)
+    for plane, ax in zip(maps.planes, axes):
         flat = plane.cut(values)
         rgba = np.asarray(colouring.to_rgba(np.where(np.isfinite(flat), flat, low)))
         rgba[~np.isfinite(flat)] = _NO_VALUE
-        rgba[~plane.cut(inside)] = 0.0
+        rgba[~plane.cut(maps.inside)] = 0.0
         _show(ax, rgba, plane)
-    _draw_bar(figure, colouring, left, label, _beyond(values[inside], low, high))
+    _draw_bar(figure, colouring, left, label, _beyond(inside, low, high))
     return figure
 
 
@@ -190,13 +184,14 @@ def _show(ax: Axes, rgba: NDArray[np.floating], plane: Plane) -> None:
     width, height = plane.size_mm
     ax.imshow(rgba, interpolation="none", origin="lower", extent=(0, width, 0, height), aspect="equal")
     ax.set_axis_off()
-    ax.set_title(plane.label, fontsize=7.5, color=QUIET, pad=3)
+    ax.set_title(plane.label, fontsize=7.5, color=QUIET, pad=3, y=1.0)  # told where, it need not look for ticks
     for letter, x, side in zip(plane.sides, (0.0, 1.0), ("left", "right")):
         ax.text(x, 0.97, letter, transform=ax.transAxes, fontsize=7.5, color=QUIET, ha=side, va="top")
 
 
 def _describe(maps: MapSet, entry: ParameterMap) -> str:
-    values = entry.value[(maps.status != Status.OUTSIDE) & np.isfinite(entry.value)]
+    values = entry.value[maps.inside]
+    values = values[np.isfinite(values)]
     if values.size == 0:
         return f"Map of {entry.symbol}: no voxel has a value."
     low, median, high = np.percentile(values, (_LIMITS[0], 50, _LIMITS[1]))

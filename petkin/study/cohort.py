@@ -38,7 +38,7 @@ class _Job(Protocol):
 
 
 Job = TypeVar("Job", bound=_Job)
-Fit = Callable[[Job, Progress, Spread | None], Fitted]
+Fit = Callable[[Job, Progress, Spread, int], Fitted]
 
 
 def fit_on_cluster(
@@ -75,8 +75,9 @@ def _gather(client: Client, fit: Fit[Job], jobs: Sequence[Job], progress: Progre
         progress(f"{jobs[i].source.label}: {step}", sum(far) / len(far))
 
     client.subscribe_topic(_TOPIC, told)
-    split = len(jobs) < len(client.scheduler_info(n_workers=-1)["workers"])
-    futures = [client.submit(_fit, fit, job, i, split, pure=False) for i, job in enumerate(jobs)]
+    workers = len(client.scheduler_info(n_workers=-1)["workers"])
+    helpers = workers if len(jobs) < workers else 1
+    futures = [client.submit(_fit, fit, job, i, helpers, pure=False) for i, job in enumerate(jobs)]
     for future in as_completed(futures):
         i = futures.index(future)
         told((0.0, (i, "done", 1.0)))
@@ -94,14 +95,14 @@ def _answer(future: Any) -> Fitted | PetkinError:
         )
 
 
-def _fit(fit: Fit[Job], job: Job, i: int, split: bool) -> Fitted:
+def _fit(fit: Fit[Job], job: Job, i: int, helpers: int) -> Fitted:
     """Fit one scan on the worker that this runs on."""
     worker = get_worker()
 
     def tell(step: str, done: float) -> None:
         worker.log_event(_TOPIC, (i, step, done))
 
-    return replace(fit(job, tell, _spread if split else None), fit=None)
+    return replace(fit(job, tell, _spread if helpers > 1 else map, helpers), fit=None)
 
 
 def _spread(work: Callable[[slice], Any], parts: Sequence[slice]) -> Iterator[Any]:

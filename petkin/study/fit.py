@@ -10,13 +10,14 @@ from petkin.errors import InputError, PetkinError
 from petkin.fitting import Need
 from petkin.inputs import InputFunction
 from petkin.io import AtomicFolder, Scratch, write_bytes
+from petkin.io.atomic import remove_orphans
 from petkin.io.names import record_path, report_path
 from petkin.reporting import render_fit_report
 from petkin.study.arterial import arterial_input
 from petkin.study.fit_report import build_report
 from petkin.study.fit_scan import Progress, fit_scan
 from petkin.study.outcome import Fitted, outcomes
-from petkin.study.outputs import require_own_folder, write_scan, write_study_description
+from petkin.study.outputs import require_own_folder, write_study_description, writing
 from petkin.study.reading import read_sources
 from petkin.study.request import FitRequest
 from petkin.study.resources import Execution, Resources, Spread, free_memory
@@ -73,6 +74,8 @@ def fit_study(
     progress("reading", 0.0)
     name, out, sources = read_sources(request)
     require_own_folder(out)
+    for place in (out, out.parent):
+        remove_orphans(place)
     needed = request.needs(Need.INPUT)
     memory = execution.memory and execution.memory // max(execution.workers, 1)
     jobs = [
@@ -90,13 +93,14 @@ def fit_study(
     return fitted
 
 
-def fit_job(job: Job, progress: Progress, spread: Spread | None = None) -> Fitted:
+def fit_job(job: Job, progress: Progress, spread: Spread = map, helpers: int = 1) -> Fitted:
     """Fit one scan and write its results, unless they are there.
 
     Args:
         job: the scan.
         progress: told what is being done, and how far it is.
-        spread: who fits blocks of voxels; None for this process.
+        spread: who fits blocks of voxels.
+        helpers: in how many processes.
 
     Raises:
         InputError: something about the scan makes a right answer impossible.
@@ -106,8 +110,7 @@ def fit_job(job: Job, progress: Progress, spread: Spread | None = None) -> Fitte
     if before is not None:
         return before
     with Scratch(job.out) as scratch:
-        memory = job.memory or free_memory()
-        resources = Resources(memory, scratch, spread or map, shared=spread is not None)
+        resources = Resources(job.memory or free_memory(), scratch, spread, helpers)
         fit = fit_scan(source, job.arterial, request, resources, progress)
         progress("writing", 0.92)
         relative = report_path(source.entities, desc="fit")
@@ -115,10 +118,10 @@ def fit_job(job: Job, progress: Progress, spread: Spread | None = None) -> Fitte
         fitted = Fitted(source.label, delay, outcomes(fit), fit.remarks, job.out / relative)
         with AtomicFolder(job.out, seal=record_path(source.entities)) as folder:
             write_study_description(folder, job.name, out=job.out, raw=request.target)
-            write_scan(folder, fit, request)
-            progress("report", 0.95)
-            report = build_report(fit, request, known_truth(request.target, source))
-            write_bytes(folder.path(relative), render_fit_report(report).encode())
+            with writing(folder, fit, request):
+                progress("report", 0.95)
+                report = build_report(fit, request, known_truth(request.target, source))
+                write_bytes(folder.path(relative), render_fit_report(report).encode())
             write_record(folder, source, request, fitted)
     return replace(fitted, fit=replace(fit, voxels=None, by_voxel=()))
 

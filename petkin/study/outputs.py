@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -38,13 +40,27 @@ _CHI2 = "Weighted residual sum of squares over its degrees of freedom"
 _AICC = "Akaike criterion for small samples, of models with the same weights"
 #: Measure, desc, values of the voxels, value outside of the mask, and sidecar of a map.
 _Map = tuple[str, str, NDArray, float, dict[str, Any]]
-#: Units of what is held or shared and not estimated by curve.
-_UNITS = {"k2prime": "min^-1"}
 _MEANINGS = {int(status): status.meaning for status in Status}
 
 
-def write_scan(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> None:
-    """Write tables, maps and their sidecars of one scan into the staging folder."""
+@contextmanager
+def writing(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> Iterator[None]:
+    """Write tables, maps and their sidecars of one scan into the staging folder: tables first, maps during the block.
+
+    Compression leaves the interpreter's lock alone, so a report is drawn meanwhile.
+    """
+    _write_tables(folder, fit, request)
+    pool = ThreadPoolExecutor(min(fit.voxels.plan.maps, os.cpu_count() or 1) if fit.voxels else 1)
+    try:
+        maps = [pool.submit(job) for result in fit.by_voxel for job in _map_jobs(folder, fit, result, request)]
+        yield
+        for one in maps:
+            one.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _write_tables(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> None:
     scan = fit.source.entities
     if fit.arterial is not None:
         arrived = fit.arterial.delayed(fit.applied[0])
@@ -60,9 +76,6 @@ def write_scan(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> None:
         write_tacs(folder.path(path), fit.curves, describe.tacs_sidecar(shared))
         for result in fit.regional:
             _write_kinpar(folder, fit, result, request)
-    if fit.voxels is not None:
-        for result in fit.by_voxel:
-            _write_maps(folder, fit, result, request)
 
 
 def require_own_folder(out: Path) -> None:
@@ -115,20 +128,21 @@ def _columns(result: FitResult) -> list[describe.Measure]:
     return [describe.Measure(e.symbol, e.unit, e.meaning) for e in result.estimates]
 
 
-def _write_maps(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
+def _map_jobs(
+    folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest
+) -> Iterator[Callable[[], None]]:
     voxels = fit.voxels
     assert voxels is not None
     shared, start = _shared(result.model, fit, request, result), ""
     if request.hypr is not None:
         shared, start = shared | denoising_fields(request.hypr), names.HYPR
 
-    def write(entry: _Map) -> None:
-        measure, desc, values, outside, sidecar = entry
-        path = folder.path(names.map_path(fit.source.entities, result.model, measure, desc=start + desc))
+    def write(path: Path, values: NDArray, outside: float, sidecar: dict[str, Any]) -> None:
         write_map(path, voxels.volume(values, outside), voxels.series.affine, sidecar)
 
-    with ThreadPoolExecutor(min(voxels.plan.maps, os.cpu_count() or 1)) as pool:
-        list(pool.map(write, _maps(result, shared)))
+    for measure, desc, *rest in _maps(result, shared):
+        path = names.map_path(fit.source.entities, result.model, measure, desc=start + desc)
+        yield partial(write, folder.path(path), *rest)
 
 
 def _maps(result: FitResult, shared: dict[str, Any]) -> Iterator[_Map]:
@@ -159,16 +173,7 @@ def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | N
         if "reference" in result.settings:
             extra["ReferenceRegion"] = result.settings["reference"]
         fixed: dict[str, float] = result.settings.get("fixed", {})
-        units = _UNITS | {estimate.symbol: estimate.unit for estimate in result.estimates}
-        if result.shared:
-            extra["SharedParameters"] = {
-                describe.measure_name(symbol): {
-                    "Value": value,
-                    "Units": describe.file_unit(units.get(symbol, "")),
-                    "PercentSE": percent_se if np.isfinite(percent_se) else None,
-                }
-                for symbol, (value, percent_se) in result.shared.items()
-            }
+        units = {estimate.symbol: estimate.unit for estimate in result.estimates}
         extra |= {
             "InputValuesLabels": [describe.measure_name(s) for s in fixed],
             "InputValues": list(fixed.values()),

@@ -59,13 +59,13 @@ class Resources:
         memory: bytes that this process may hold, all that it holds already included.
         scratch: takes what does not fit.
         spread: who fits blocks of voxels.
-        shared: whether others than this process fit them: what they look at lies in files.
+        helpers: processes that fit them; of several, each gets some, and what they look at lies in files.
     """
 
     memory: int
     scratch: Scratch
     spread: Spread = map
-    shared: bool = False
+    helpers: int = 1
 
     def plan(self, series: Series, voxels: int, models: int) -> Plan:
         """How the voxels of a series are fitted within the memory.
@@ -84,9 +84,11 @@ class Resources:
                 f"a block of voxels; give at least {np.ceil(100 * least) / 100:.2f}G."
             )
         kept = 4 * voxels * series.count + 4 * (voxels + grid) * _MAPS * models
-        on_disk = self.shared or kept > left // 2
-        block = (left if on_disk else left - kept) // voxel // _PART * _PART
-        return Plan(self, on_disk, max(block, _PART), max(left // (8 * grid), 1))
+        on_disk = self.helpers > 1 or kept > left // 2
+        block = (left if on_disk else left - kept) // voxel
+        if self.helpers > 1:
+            block = min(block, voxels // (2 * self.helpers))
+        return Plan(self, on_disk, max(block // _PART, 1) * _PART, max(left // (8 * grid), 1))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ doi:10.1016/j.cam.2004.02.013). Started from the free optimum moved into the box
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +58,35 @@ def fit_in_box(
     candidates = [np.clip(np.where(np.isfinite(start), start, middle), lower, upper)]
     if starts:
         candidates += [np.clip(one, lower, upper) for one in _grid_starts(model, packed, z, box, starts)]
-    best = _polish(model, packed, z, sizes, candidates[0], lower, upper, tolerance)
-    for candidate in candidates[1:]:
-        trial = _polish(model, packed, z, sizes, candidate, lower, upper, tolerance)
+    values, jacobian = partial(model_values, model, packed), partial(model_jacobian, model, packed)
+    return best_polish(values, jacobian, z, sizes, candidates, lower, upper, tolerance)
+
+
+def best_polish(
+    values: Callable[[Array], Array],
+    jacobian: Callable[[Array], tuple[Array, Array]],
+    z: Array,
+    sizes: Array,
+    starts: Sequence[Array],
+    lower: Array,
+    upper: Array,
+    tolerance: float,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """The best end of the polishes from several starts.
+
+    Args:
+        values: compressed curves (N, R) of parameters (N, P).
+        jacobian: the same with their derivatives (N, R, P).
+        z, sizes, tolerance: as in `fit_in_box`.
+        starts: parameters (N, P) to start from, inside the box.
+        lower, upper: the box (P,).
+
+    Returns:
+        parameters (N, P), costs (N,), converged (N,).
+    """
+    best = _polish(values, jacobian, z, sizes, starts[0], lower, upper, tolerance)
+    for start in starts[1:]:
+        trial = _polish(values, jacobian, z, sizes, start, lower, upper, tolerance)
         better = trial[1] < best[1]
         best = tuple(np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for new, old in zip(trial, best))
     return best  # type: ignore[return-value]
@@ -98,8 +126,8 @@ def _levels(lower: float, upper: float, count: int) -> Array:
 
 
 def _polish(
-    model: CompartmentModel,
-    packed: Compression,
+    values_of: Callable[[Array], Array],
+    jacobian_of: Callable[[Array], tuple[Array, Array]],
     z: Array,
     sizes: Array,
     start: Array,
@@ -110,7 +138,7 @@ def _polish(
     theta = start.copy()
     outside = sizes - (z * z).sum(axis=0)
     span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    cost = ((z.T - model_values(model, packed, theta)) ** 2).sum(axis=1)
+    cost = ((z.T - values_of(theta)) ** 2).sum(axis=1)
     damping = np.full(len(theta), 1e-3)
     active = np.ones(len(theta), bool)
     for _ in range(_MAX_STEPS):
@@ -118,7 +146,7 @@ def _polish(
         if rows.size == 0:
             break
         here = theta[rows]
-        values, jacobian = model_jacobian(model, packed, here)
+        values, jacobian = jacobian_of(here)
         residual = z.T[rows] - values
         gradient = np.einsum("nrp,nr->np", jacobian, residual)
         held = ((here <= lower + ON_BOUND * span) & (gradient <= 0)) | (
@@ -135,7 +163,7 @@ def _polish(
         )
         step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], lower, upper) - here
         expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
-        trial_cost = ((z.T[rows] - model_values(model, packed, here + step)) ** 2).sum(axis=1)
+        trial_cost = ((z.T[rows] - values_of(here + step)) ** 2).sum(axis=1)
         better = trial_cost < cost[rows]
         gain = cost[rows] - trial_cost
         theta[rows[better]] = (here + step)[better]

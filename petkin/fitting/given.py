@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.imaging import FrameObservation
-from petkin.inputs.input_function import InputFunction
+from petkin.inputs import InputFunction, smoothest
 
 Array = NDArray[np.float64]
+
+#: Start of the first frame (min) until which a reference curve is known well enough from zero at injection.
+_LATEST_START = 2.0
 
 
 class Need(Enum):
@@ -73,6 +76,22 @@ class Given:
         if self.reference is None:
             raise InputError(f"{label} needs {Need.REFERENCE.value}, and none was named.")
         return self.reference
+
+    def reference_input(self, label: str) -> InputFunction:
+        """The reference region's curve in the place of an input, for the method with this label.
+
+        Raises:
+            InputError: there is none, or the scan began too late to know it from the start.
+        """
+        values, frames = self.reference_curve(label).values, self.observation.frames
+        if frames.start[0] > _LATEST_START:
+            raise InputError(
+                f"{label} needs the reference region's curve from injection on, but the first frame starts at "
+                f"{frames.start[0]:g} min; SUVR does without."
+            )
+        edges = np.append(frames.start, frames.end)
+        curve = smoothest(edges, self.observation.of_forcing).through(values)
+        return InputFunction(curve, curve)
 
     def suv_factor(self, label: str) -> float:
         """Body weight over injected dose, g/kBq, for the method with this label.

@@ -86,7 +86,7 @@ class Judge:
         in_parts(look_at, len(chi2))
         status = self._status(best, percent, reached > 0)
         missing = (status == Status.NO_SIGNAL) | (status == Status.NOT_FINITE)
-        aicc = _aicc(best.cost, frames, free + 1)
+        aicc = akaike(best.cost, frames, free + 1)
         reached[missing] = 0
         for numbers in (values, percent, chi2, aicc):
             numbers[..., missing] = np.nan
@@ -139,7 +139,7 @@ class Judge:
         )
 
 
-def _aicc(cost: Array, frames: int, p: int) -> Array:
+def akaike(cost: Array, frames: int, p: int) -> Array:
     """n ln(WRSS / n) + 2 p + 2 p (p + 1) / (n - p - 1), p counting the variance; NaN where there are too few frames."""
     with np.errstate(all="ignore"):
         small_sample = 2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan

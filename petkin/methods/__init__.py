@@ -4,12 +4,19 @@ from petkin.errors import InputError
 from petkin.kinetics import MODELS
 from petkin.methods.checks import check_choices
 from petkin.methods.compartments import compartments
+from petkin.methods.frtm import FRTM
 from petkin.methods.logan import LOGAN
+from petkin.methods.logan_ref import LOGAN_REF
 from petkin.methods.ls2tcm import LS2TCM
 from petkin.methods.ma1 import MA1
 from petkin.methods.ma2 import MA2
 from petkin.methods.method import Method
+from petkin.methods.mrtm1 import MRTM1
+from petkin.methods.mrtm2 import MRTM2
 from petkin.methods.patlak import PATLAK
+from petkin.methods.patlak_ref import PATLAK_REF
+from petkin.methods.srtm import SRTM
+from petkin.methods.srtm2 import SRTM2
 from petkin.methods.suv import SUV
 from petkin.methods.suvr import SUVR
 
@@ -20,6 +27,13 @@ METHODS = (
     MA1,
     MA2,
     LS2TCM,
+    SRTM,
+    SRTM2,
+    FRTM,
+    MRTM1,
+    MRTM2,
+    LOGAN_REF,
+    PATLAK_REF,
     SUV,
     SUVR,
 )

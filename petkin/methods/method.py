@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from petkin.fitting import Choices, FitResult, Given, Need
 
+#: Value and percent standard error, by symbol, of what all curves have in common.
+Share = Callable[[NDArray[np.floating], Given, Choices, bool], dict[str, tuple[float, float]]]
 #: curves (N, K) in kBq/mL, what the scan gives, what the user chose, whether the curves are voxels.
 Fit = Callable[[NDArray[np.floating], Given, Choices, bool], FitResult]
 
@@ -28,6 +30,8 @@ class Method:
         how: how it is fitted and where its errors come from, a paragraph for reports.
         reference: where it comes from.
         needs: what it cannot do without.
+        share: how what all curves have in common is found, from the same as `fit`, which does it itself where `Choices`
+            does not fix it; None where they share nothing.
         comparable: whether its AICc is over frame values and may be compared with another's.
     """
 
@@ -40,4 +44,5 @@ class Method:
     how: str
     reference: str
     needs: frozenset[Need] = frozenset({Need.INPUT})
+    share: Share | None = None
     comparable: bool = False

@@ -16,6 +16,8 @@ from petkin.methods import Method, find_method
 from petkin.study.series import VoxelCurves
 
 _NONE = np.empty(0, np.uint8)
+#: Most voxels that something shared by all is estimated from.
+_SAMPLE = 10_000
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,9 @@ def fit_voxels(
     """
     plan, store = voxels.plan, None
     parts = plan.parts(voxels.count)
-    work = partial(_fit_block, method.label, given, choices, voxels.rows)
+    shared = _shared(method, voxels, given, choices)
+    held = replace(choices, fixed={**choices.fixed, **{symbol: value for symbol, (value, _) in shared.items()}})
+    work = partial(_fit_block, method.label, given, held, voxels.rows)
     codes, fits = [], []
     for part, block in zip(parts, plan.resources.spread(work, parts), strict=True):
         if store is None:
@@ -58,7 +62,21 @@ def fit_voxels(
         fits.append(block.fit)
         progress(part.stop / voxels.count)
     assert store is not None
-    return _joined(fits, store.array, codes)
+    joined = _joined(fits, store.array, codes)
+    if not shared:
+        return joined
+    fixed = {symbol: value for symbol, value in joined.settings["fixed"].items() if symbol not in shared}
+    return replace(joined, shared=shared, settings={**joined.settings, "fixed": fixed})
+
+
+def _shared(method: Method, voxels: VoxelCurves, given: Given, choices: Choices) -> dict[str, tuple[float, float]]:
+    """What all voxels have in common, from evenly spaced ones, before blocks go separate ways."""
+    if method.share is None:
+        return {}
+    step = max(1, -(-voxels.count // _SAMPLE))
+    sample = np.ascontiguousarray(voxels.rows.array[:, ::step])
+    voxels.rows.release()
+    return method.share(sample.T, given, choices, True)
 
 
 def _fit_block(label: str, given: Given, choices: Choices, rows: Rows, part: slice) -> _Block:

@@ -111,10 +111,16 @@ def _section(
         maps=None if voxel is None else _maps(voxel, fit),
         truth=_compared(truth, regional, fit),
         equations=(method.equation,),
-        methods=(method.how, *([shift] if shift else [])),
+        methods=(method.how, *_shared(regional, "regions"), *_shared(voxel, "voxels"), *([shift] if shift else [])),
         citations=(method.reference,),
         comparable=method.comparable,
     )
+
+
+def _shared(result: FitResult | None, of: str) -> list[str]:
+    """What all curves have in common, a sentence each."""
+    shared = {} if result is None else result.shared
+    return [f"{symbol} of all {of}: {value:.4g} (SE {error:.2g} %)." for symbol, (value, error) in shared.items()]
 
 
 def _maps(result: FitResult, fit: ScanFit) -> MapSet:

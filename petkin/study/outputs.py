@@ -40,6 +40,8 @@ _CHI2 = "Weighted residual sum of squares over its degrees of freedom"
 _AICC = "Akaike criterion for small samples, of models with the same weights"
 #: Measure, desc, values of the voxels, value outside of the mask, and sidecar of a map.
 _Map = tuple[str, str, NDArray, float, dict[str, Any]]
+#: Units of what is held or shared and not estimated by curve.
+_UNITS = {"k2prime": "min^-1"}
 _MEANINGS = {int(status): status.meaning for status in Status}
 
 
@@ -173,7 +175,16 @@ def _shared(model: str, fit: ScanFit, request: FitRequest, result: FitResult | N
         if "reference" in result.settings:
             extra["ReferenceRegion"] = result.settings["reference"]
         fixed: dict[str, float] = result.settings.get("fixed", {})
-        units = {estimate.symbol: estimate.unit for estimate in result.estimates}
+        units = _UNITS | {estimate.symbol: estimate.unit for estimate in result.estimates}
+        if result.shared:
+            extra["SharedParameters"] = {
+                describe.measure_name(symbol): {
+                    "Value": value,
+                    "Units": describe.file_unit(units.get(symbol, "")),
+                    "PercentSE": percent_se if np.isfinite(percent_se) else None,
+                }
+                for symbol, (value, percent_se) in result.shared.items()
+            }
         extra |= {
             "InputValuesLabels": [describe.measure_name(s) for s in fixed],
             "InputValues": list(fixed.values()),

@@ -211,3 +211,14 @@ def test_maps_keep_the_reference_as_measured(study: Path, petkin_command: Comman
     assert measured["cerebellum"] == pytest.approx(1)
     assert corrected["cerebellum"] == pytest.approx(1)
     assert abs(corrected["cortex"] / measured["cortex"] - 1) > 0.01
+
+
+def test_much_noise_is_told(study: Path, petkin_command: Command) -> None:
+    """Two small regions that touch, at a point spread as wide as they are."""
+    options = ["--model", "1TCM", "--delay", "0", "--level", "region", "--pvc", "gtm", "--psf"]
+    assert "multiplies the noise" not in petkin_command("fit", study, *options, "3").out
+    ran = petkin_command("fit", study, *options, "14")
+    assert "multiplies the noise of 2 of 3 regions by more than 3 (cerebellum: 12.2)" in ran.out
+    sidecar = json.loads((study / RESULTS / "sub-01_seg-atlas_pvc-GTM_model-1TCM_kinpar.json").read_text())
+    factor = sidecar["PartialVolumeCorrection"]["NoiseFactor"]
+    assert min(factor["cortex"], factor["cerebellum"]) > 3 > factor["background"]

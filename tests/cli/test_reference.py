@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from petkin.study.resources import Plan
+
 from .tiny_study import AFFINE, BLOOD, PET, SIDECAR, SIDECAR_FILE, change, dump, image, labels, save
 
 OUT = Path("derivatives/petkin") / PET
@@ -71,6 +73,47 @@ def test_a_reference_mask_is_the_mean_over_its_voxels_at_voxel_level_too(bloodle
     ]
     np.testing.assert_array_equal(*maps)
     assert np.nanmean(maps[0][labels() == 4]) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_kinetic_methods_of_a_study_without_blood_write_maps_tables_and_a_report(bloodless, petkin_command):
+    models = ("SRTM", "SRTM2", "MRTM2", "LoganRef")
+    asked = [word for model in models for word in ("-m", model)]
+    ran = petkin_command("fit", bloodless, *asked, "--reference", "cerebellum", "--t-star", 10)
+    assert ran.status == 0, ran.err
+    for model in models:
+        table = pd.read_csv(bloodless / OUT / f"sub-01_seg-atlas_model-{model}_kinpar.tsv", sep="\t")
+        written = json.loads((bloodless / OUT / f"sub-01_model-{model}_meas-BPND_mimap.json").read_text())
+        assert np.isfinite(table["BPND"]).any()
+        assert written["ReferenceRegion"] == "cerebellum"
+        assert ("SharedParameters" in written) == (model != "SRTM")
+        if model != "SRTM":
+            assert written["SharedParameters"]["k2prime"]["Units"] == "min-1"
+            assert written["InputValuesLabels"] == []
+    page = (bloodless / OUT / "sub-01_desc-fit_report.html").read_text()
+    assert "k2prime of all voxels:" in page
+
+
+def test_a_shared_rate_of_voxels_does_not_depend_on_blocks(bloodless, petkin_command, tmp_path, monkeypatch):
+    written = []
+    for block in (1000, 17):
+        parts = lambda plan, count, block=block: [slice(i, min(i + block, count)) for i in range(0, count, block)]  # noqa: E731
+        monkeypatch.setattr(Plan, "parts", parts)
+        out = tmp_path / str(block)
+        common = ("fit", bloodless, "-m", "SRTM2", "--reference", "cerebellum", "--level", "voxel")
+        assert petkin_command(*common, "--out", out).status == 0
+        written.append((out / PET / "sub-01_model-SRTM2_meas-BPND_mimap.nii.gz").read_bytes())
+    assert written[0] == written[1]
+
+
+def test_a_fixed_rate_is_written_with_its_unit(bloodless, petkin_command):
+    ran = petkin_command(
+        "fit", bloodless, "-m", "SRTM2", "--reference", "cerebellum", "--fix", "k2prime=0.06", "--level", "region"
+    )
+    assert ran.status == 0, ran.err
+    written = json.loads((bloodless / OUT / "sub-01_seg-atlas_model-SRTM2_kinpar.json").read_text())
+    assert (written["InputValuesLabels"], written["InputValues"]) == (["k2prime"], [0.06])
+    assert written["InputValuesUnits"] == ["min-1"]
+    assert "SharedParameters" not in written
 
 
 @pytest.mark.parametrize(

@@ -27,13 +27,15 @@ def problem():
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.label)
 def test_a_voxel_does_not_feel_what_it_is_fitted_with(method: Method, problem) -> None:
-    """What a method makes of one curve depends on that curve alone: else blocks would show."""
+    """What a method makes of one curve depends on that curve alone, and on what all share: else blocks would show."""
     curves = problem.curves.astype(np.float32).T  # (K, N) with voxels together, as they lie in memory
     reference = ReferenceCurve("reference", problem.clean[0]) if Need.REFERENCE in method.needs else None
     given = Given(problem.observation, problem.weights, problem.arterial, reference, 0.5)
-    whole = method.fit(curves.T, given, Choices(), True)
+    shared = method.share(curves.T, given, Choices(), True) if method.share else {}
+    choices = Choices(fixed={symbol: value for symbol, (value, _) in shared.items()})
+    whole = method.fit(curves.T, given, choices, True)
     for part in (slice(0, 7), slice(7, 40)):
-        alone = method.fit(np.ascontiguousarray(curves[:, part]).T, given, Choices(), True)
+        alone = method.fit(np.ascontiguousarray(curves[:, part]).T, given, choices, True)
         for mine, theirs in zip(alone.estimates, whole.estimates, strict=True):
             np.testing.assert_array_equal(mine.value, theirs.value[part], err_msg=mine.symbol)
             np.testing.assert_array_equal(mine.percent_se, theirs.percent_se[part], err_msg=mine.symbol)

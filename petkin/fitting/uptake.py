@@ -20,6 +20,8 @@ from petkin.errors import InputError
 from petkin.fitting.choices import Choices
 from petkin.fitting.curves import check_shapes, finite_curves
 from petkin.fitting.given import Given
+from petkin.fitting.parts import in_parts
+from petkin.fitting.regression import weights_and_noise
 from petkin.fitting.results import Estimate, FitResult, Status
 
 Array = NDArray[np.float64]
@@ -29,7 +31,14 @@ _LATE = 30.0
 
 
 def fit_uptake(
-    label: str, curves: NDArray[np.floating], unit: Array, given: Given, choices: Choices, estimate: tuple[str, str]
+    label: str,
+    curves: NDArray[np.floating],
+    unit: Array,
+    given: Given,
+    choices: Choices,
+    meaning: tuple[str, str],
+    *,
+    keep_predicted: bool,
 ) -> FitResult:
     """theta of every curve.
 
@@ -39,44 +48,49 @@ def fit_uptake(
         unit: g_k (K,), kBq/mL: frame values of a curve with theta = 1.
         given: frames and weights.
         choices: the window.
-        estimate: unit of theta and what it is in words.
+        meaning: unit of theta and what it is in words.
+        keep_predicted: return theta g_k, NaN outside the window.
 
     Raises:
-        InputError: no frame in the window, or no activity to divide by.
+        InputError: no frame in the window, no activity to divide by, or weights that differ between curves.
     """
     curves, frames = np.asarray(curves), given.observation.frames
-    check_shapes(curves, given.weights, len(frames))
+    weights, noise = weights_and_noise(given.weights, label)
+    check_shapes(curves, weights, len(frames))
     inside, (start, end) = _window(given, choices, label)
-    finite, usable = finite_curves(curves)
-    d, w = frames.duration[inside], np.broadcast_to(given.weights, curves.shape)[:, inside]
-    total = float(d @ unit[inside])
+    d, g, w = frames.duration[inside], unit[inside], weights[inside]
+    total = float(d @ g)
     if not total > 0:
         raise InputError(f"{label}: what is divided by holds no activity from {start:g} to {end:g} min.")
-    value = (usable[:, inside] * d).sum(axis=1) / total
-    predicted = np.full(curves.shape, np.nan)
-    predicted[:, inside] = value[:, None] * unit[inside]
-    count = int(inside.sum())
+    variance = float(d**2 @ noise[inside]) / total**2
+    freedom = float(np.sum((w > 0) * (1.0 - 2.0 * d * g / total))) + variance * float(w @ g**2)
+    value, chi2 = (np.empty(len(curves)) for _ in range(2))
+    status = np.empty(len(curves), np.uint8)
+
+    def look_at(rows: slice) -> None:
+        finite, usable = finite_curves(curves[rows])
+        late = usable[:, inside]
+        value[rows] = (late * d).sum(axis=1) / total
+        wrss = (w * (late - value[rows, None] * g) ** 2).sum(axis=1)
+        chi2[rows] = wrss / (freedom if len(d) > 1 else np.nan)
+        signal = usable.sum(axis=1) > 0
+        status[rows] = np.where(finite, np.where(signal, Status.OK, Status.NO_SIGNAL), Status.NOT_FINITE)
+
+    in_parts(look_at, len(curves))
     with np.errstate(all="ignore"):
-        variance = np.where(w > 0, d**2 / w, 0.0).sum(axis=1) / total**2
-        leverage = 2.0 * d * unit[inside] / total
-        freedom = np.where(w > 0, 1.0 - leverage, 0.0).sum(axis=1) + variance * (w * unit[inside] ** 2).sum(axis=1)
-        wrss = (w * (usable - predicted)[:, inside] ** 2).sum(axis=1)
-        chi2 = wrss / (freedom if count > 1 else np.nan)
         percent = 100.0 * np.sqrt(chi2 * variance) / np.abs(value)
-    status = np.full(len(curves), Status.OK, np.uint8)
-    status[percent > 100.0] = Status.NOT_IDENTIFIABLE
-    status[~(usable.sum(axis=1) > 0)] = Status.NO_SIGNAL
-    status[~finite] = Status.NOT_FINITE
+        status[(status == Status.OK) & (percent > 100.0)] = Status.NOT_IDENTIFIABLE
     blank = np.where((status == Status.NO_SIGNAL) | (status == Status.NOT_FINITE), np.nan, 1.0)
+    value *= blank
     return FitResult(
         model=label,
-        estimates=(Estimate(label, estimate[0], value * blank, percent * blank, estimate[1]),),
+        estimates=(Estimate(label, meaning[0], value, percent * blank, meaning[1]),),
         chi2=chi2 * blank,
         aicc=np.full(len(curves), np.nan),
         status=status,
-        weights=given.weights,
-        predicted=predicted * blank[:, None],
-        settings={"window": [start, end], "frames_used": count},
+        weights=weights,
+        predicted=np.outer(value, np.where(inside, unit, np.nan)) if keep_predicted else None,
+        settings={"window": [start, end], "frames_used": len(d)},
     )
 
 

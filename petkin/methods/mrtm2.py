@@ -51,6 +51,7 @@ _LINE = Line(
     own=lambda terms: (terms.integral,),
     response=lambda terms: terms.curve,
     axes=_axes,
+    holds_early=True,
     one_k2prime=True,
 )
 

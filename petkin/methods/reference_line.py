@@ -52,6 +52,7 @@ class Line:
         response: operator of the side that they add up to.
         axes: of the plot in which it is a line, from its terms.
         one_k2prime: whether it needs the k2' of the reference region.
+        holds_early: whether t* is 0 unless it is given: the equation holds from the start for one tissue compartment.
     """
 
     label: str
@@ -61,6 +62,7 @@ class Line:
     response: Callable[[Terms], Array]
     axes: Callable[[Terms], Axes]
     one_k2prime: bool = False
+    holds_early: bool = False
 
 
 def fit_line(line: Line, curves: NDArray[np.floating], given: Given, choices: Choices, voxels: bool) -> FitResult:
@@ -76,7 +78,8 @@ def fit_line(line: Line, curves: NDArray[np.floating], given: Given, choices: Ch
     integral, _ = curve_integrals(given.observation)
     terms = Terms(reference.values, integral @ reference.values, np.eye(len(integral)), integral, k2prime)
     equation = LateEquation(line.regression(k2prime), lambda *_: _design(line, terms, given), line.axes(terms))
-    result = fit_late(equation, curves, given, replace(choices, fixed={}), voxels)
+    t_star = 0.0 if line.holds_early and choices.t_star is None else choices.t_star
+    result = fit_late(equation, curves, given, replace(choices, fixed={}, t_star=t_star), voxels)
     fixed = {"k2prime": k2prime} if line.one_k2prime and not shared else {}
     settings = {key: value for key, value in result.settings.items() if key != "vB"}
     return replace(result, shared=shared, settings={**settings, "reference": reference.name, "fixed": fixed})

@@ -16,9 +16,9 @@ def _fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: b
     factor = given.suv_factor("SUV")
     unit = np.full(len(given.observation.frames), 1.0 / factor)
     meaning = "standardised uptake value: mean activity in the window over injected dose per gram of body"
-    result = fit_uptake("SUV", curves, unit, given, choices, ("g mL^-1", meaning))
+    result = fit_uptake("SUV", curves, unit, given, choices, ("g mL^-1", meaning), keep_predicted=not voxels)
     settings = {**result.settings, "weight_over_dose": factor, "weight_over_dose_unit": "g kBq^-1"}
-    return replace(result, settings=settings, predicted=None if voxels else result.predicted)
+    return replace(result, settings=settings)
 
 
 SUV = Method(

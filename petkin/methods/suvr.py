@@ -15,9 +15,8 @@ from petkin.methods.method import Method
 def _fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: bool) -> FitResult:
     reference = given.reference_curve("SUVR")
     meaning = "mean activity in the window over that of the reference region"
-    result = fit_uptake("SUVR", curves, reference.values, given, choices, ("1", meaning))
-    settings = {**result.settings, "reference": reference.name}
-    return replace(result, settings=settings, predicted=None if voxels else result.predicted)
+    result = fit_uptake("SUVR", curves, reference.values, given, choices, ("1", meaning), keep_predicted=not voxels)
+    return replace(result, settings={**result.settings, "reference": reference.name})
 
 
 SUVR = Method(

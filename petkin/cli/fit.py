@@ -107,8 +107,13 @@ def fit(
         ),
     ] = "0.001:5",
     t_star: Annotated[
-        float, typer.Option("--t-star", help="Patlak and Logan use frames after this, min.", rich_help_panel=_MODEL)
-    ] = 30.0,
+        str,
+        typer.Option(
+            "--t-star",
+            help="Methods that hold late use frames after this, min; auto: told by the regions of each scan.",
+            rich_help_panel=_MODEL,
+        ),
+    ] = "30",
     window: Annotated[
         str | None,
         typer.Option(
@@ -202,6 +207,7 @@ def fit(
             interval,
             labels,
             memory_size,
+            minutes_or_auto,
             numbers_by_symbol,
             typed_command,
         )
@@ -216,7 +222,7 @@ def fit(
         bounds=bounds_by_symbol(bounds or [], option="--bounds"),
         fixed=numbers_by_symbol(fix or [], option="--fix"),
         rate_bounds=interval(rates, option="--rates"),
-        t_star=t_star,
+        t_star=minutes_or_auto(t_star, option="--t-star"),
         window=None if window is None else interval(window, option="--window"),
     )
     request = FitRequest(

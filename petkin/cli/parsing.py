@@ -44,6 +44,11 @@ def dose_in_mbq(text: str) -> str | float:
     return text if text in ("stated", "total") else _number(text, text, "--dose")
 
 
+def minutes_or_auto(text: str, *, option: str) -> float | None:
+    """A number of minutes, or None for `auto`."""
+    return None if text == "auto" else _number(text, text, option)
+
+
 def labels(given: list[str] | None, entity: str) -> tuple[str, ...]:
     """Labels of subjects or sessions, each once, with or without the `sub-` or `ses-` that files write before them."""
     return tuple(dict.fromkeys(label.removeprefix(entity) for label in given or ()))

@@ -94,7 +94,7 @@ class Plot:
 
     Args:
         title, x_label, y_label: as shown, with units.
-        points: measured (name, x, y).
+        points: measured (name, x, y); a curve's name is its number from 1, which reports replace by the region's.
         lines: fitted (name, x, y).
         mark: where a vertical line stands on the x axis, or None.
         text: a sentence below.

@@ -52,7 +52,9 @@ def from_t_star(design: LinearDesign, frames: FrameSchedule, t_star: float, labe
     return late
 
 
-def find_t_star(curves: Array, design: LinearDesign, frames: FrameSchedule, regression: Regression) -> TStar:
+def find_t_star(
+    curves: NDArray[np.floating], design: LinearDesign, frames: FrameSchedule, regression: Regression
+) -> TStar:
     """The start with the least mean squared error that can be told from the curves themselves.
 
     A later start takes bias off and adds noise. The bias left at a start is told by the drift d of the outcome when

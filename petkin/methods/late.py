@@ -65,11 +65,10 @@ def fit_late(
     design = equation.design(given, vB)
     found, t_star = None, choices.t_star
     if t_star is None:
-        telling = _mean_curve(curves) if voxels else np.asarray(curves, np.float64)
-        found = find_t_star(telling, design, frames, equation.regression)
+        found = find_t_star(curves, design, frames, equation.regression)
         t_star = found.minutes
     late = from_t_star(design, frames, t_star, label)
-    settings = {"t_star": t_star, "t_star_chosen": found is None, "vB": vB}
+    settings = {"t_star": t_star, "t_star_from": "choice" if found is None else "curves", "vB": vB}
     result = fit_linear(curves, late, equation.regression, settings=settings, keep_predicted=not voxels)
     if voxels:
         return result
@@ -87,13 +86,6 @@ def without_blood(given: Given, vB: float, label: str) -> tuple[Array, float]:
     if vB == 0.0:
         return np.zeros(len(given.observation.frames)), 1.0
     return vB * given.observation.of_forcing(given.input(label).whole_blood).numpy(), 1.0 / (1.0 - vB)
-
-
-def _mean_curve(curves: NDArray[np.floating]) -> Array:
-    """Mean (1, K) of the voxels that hold numbers: single ones are too noisy to tell a start from."""
-    usable = np.asarray(np.isfinite(curves).all(axis=1))
-    count = max(int(usable.sum()), 1)
-    return np.asarray(np.sum(curves, axis=0, dtype=np.float64, where=usable[:, None])).reshape(1, -1) / count
 
 
 def _plots(

@@ -17,6 +17,7 @@ from petkin.reporting.contents import FitReport, ModelSection, RegionCurves
 from petkin.reporting.curve_figures import chosen_regions, curve_pictures, heat_picture
 from petkin.reporting.input_figures import input_pictures
 from petkin.reporting.map_figures import map_pictures, status_picture
+from petkin.reporting.plots import plot_pictures
 from petkin.reporting.tables import Table
 from petkin.reporting.verdict import judge
 from petkin.reporting.wording import number, rounded_to_error
@@ -63,6 +64,7 @@ class RegionalView:
     first: list[Picture]
     rest: list[Picture]
     chosen: bool
+    plots: list[Picture]
     heat: Picture | None
 
 
@@ -116,6 +118,7 @@ def _regional_view(curves: RegionCurves, fit: FitResult) -> RegionalView:
         first=curve_pictures(curves, fit, first),
         rest=curve_pictures(curves, fit, rest),
         chosen=bool(rest),
+        plots=plot_pictures(fit.plots, curves.names),
         heat=heat_picture(curves, fit) if len(curves) >= _MANY_REGIONS else None,
     )
 

@@ -22,6 +22,7 @@ from petkin.study.request import FitRequest
 from petkin.study.resources import Resources
 from petkin.study.series import VoxelCurves, choose_mask, extract
 from petkin.study.sources import Source
+from petkin.study.t_star import with_t_star
 from petkin.study.whole_brain import frame_weights, shared_delay, whole_brain
 
 #: Share of negative voxel values in the mask from which on it is worth a remark.
@@ -113,7 +114,9 @@ def fit_scan(
                 progress(step, 0.4 + 0.5 * (i + 0.3 + 0.7 * done) / len(methods))
 
             here(0.0)
-            by_voxel.append(_completed(fit_voxels(method, voxels, for_voxels, request.choices, here), applied))
+            told = regional[-1] if regional else None
+            choices = with_t_star(request.choices, method, for_voxels, whole, told)
+            by_voxel.append(_completed(fit_voxels(method, voxels, for_voxels, choices, here), applied))
             voxels.plan.release()
     remarks = (
         *source.remarks,

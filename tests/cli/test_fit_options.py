@@ -303,6 +303,24 @@ def test_graphical_models(exact: Path, petkin_command: Command) -> None:
     assert len(list((exact / RESULTS).glob("*model-Logan_kinpar.tsv"))) == 1
 
 
+def test_the_start_of_the_linear_part_is_told_by_regions_and_passed_to_voxels(
+    study: Path, petkin_command: Command
+) -> None:
+    ran = fit(petkin_command, study, "--model", "MA1", "--t-star", "auto", "--delay", "0")
+    assert "MA1" in ran.out
+    _, sidecar = kinpar(study, "MA1")
+    settings = sidecar["Settings"]
+    assert settings["t_star_from"] == "curves"
+    (maps,) = (study / RESULTS).glob("*model-MA1_meas-VT_mimap.json")
+    assert json.loads(maps.read_text())["Settings"]["t_star"] == settings["t_star"]
+    alone = study.parent / "alone"
+    fit(petkin_command, study, "--model", "MA1", "--t-star", "auto", "--level", "voxel", "--delay", "0", "--out", alone)
+    assert list(alone.rglob("*model-MA1_meas-VT_mimap.nii.gz"))
+    refused = petkin_command("fit", study, "--model", "MA1", "--t-star", "soon")
+    assert refused.status == 2
+    assert "--t-star 'soon': 'soon' is not a finite number" in refused.err
+
+
 def test_two_scans_and_their_choice(study: Path, petkin_command: Command) -> None:
     write_scan(study, "02")
     options = ["--model", "1TCM", "--level", "region", "--delay", "0"]

@@ -256,4 +256,4 @@ def test_a_plot_shows_the_line_through_its_frames(simplified, label):
         assert not search
     else:
         assert search[0].mark == result.settings["t_star"]
-        assert not result.settings["t_star_chosen"]
+        assert result.settings["t_star_from"] == "curves"

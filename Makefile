@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.installed
 
+# Folder of the common benchmark curves; without it, speed alone is measured.
+BENCH_DATA ?= ../shared/data/bench
+
 .PHONY: install demo test lint bench clean
 
 install: $(READY)
@@ -29,7 +32,7 @@ lint: install
 	$(BIN)/pyright
 
 bench: install
-	$(BIN)/petkin-bench speed fit
+	$(BIN)/petkin-bench speed fit $(if $(wildcard $(BENCH_DATA)),--data $(BENCH_DATA))
 
 clean:
 	rm -rf $(VENV) petkin-demo .pytest_cache .ruff_cache .hypothesis .import_linter_cache

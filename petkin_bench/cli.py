@@ -32,11 +32,15 @@ def speed_fit(
     by_hand: Annotated[int, typer.Option(help="Curves fitted by hand, a problem.", min=10)] = 400,
     threads: Annotated[int, typer.Option(help="Threads; 0 for all cores.", min=0)] = 0,
     quick: Annotated[bool, typer.Option("--quick", help="A small run that keeps nothing.")] = False,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the common benchmark curves, for their errors too.", envvar="PETKIN_BENCH_DATA"),
+    ] = None,
 ) -> None:
     """Voxel fits with standard errors against scipy's curve_fit, in the same run, with the quality of both.
 
     A ratio is processor time by hand over processor time of petkin, a voxel. Quality is judged on the curves that are
-    fitted by hand. Rows are appended to petkin_bench/results/speed_fit.csv.
+    fitted by hand. Rows are appended to petkin_bench/results/speed_fit.csv, and with --data to accuracy.csv.
     """
     import numba
 
@@ -53,12 +57,15 @@ def speed_fit(
     if not quick:
         settings = {"threads": numba.get_num_threads(), "seeds": f"{SEED_TRUTH} {SEED_NOISE}", "judged": by_hand}
         typer.echo(f"Appended to {append_rows('speed_fit', [row | settings for row in rows])}")
+    if data is not None:
+        accuracy(data)
 
 
 def _speed_rows(voxels: int, by_hand: int, *, quick: bool) -> list[dict[str, object]]:
     import tempfile
 
     from petkin_bench.graphical import measure_graphical
+    from petkin_bench.reference import measure_reference
     from petkin_bench.speed import PROBLEMS, measure_model
     from petkin_bench.start import measure_start
     from petkin_bench.whole_image import SHAPE, measure_image
@@ -70,6 +77,7 @@ def _speed_rows(voxels: int, by_hand: int, *, quick: bool) -> list[dict[str, obj
             measure_model(model, frames=frames, percent=percent, voxels=voxels, by_hand=by_hand, judged=by_hand)
         )
     rows += [measure_graphical(label, voxels=voxels) for label in ("Patlak", "Logan", "MA1")]
+    rows += [measure_reference(label, voxels=voxels) for label in ("SRTM", "MRTM1", "LoganRef")]
     typer.echo("a whole image ...", err=True)
     with tempfile.TemporaryDirectory() as folder:
         shape = (32, 32, 16) if quick else SHAPE

@@ -90,11 +90,7 @@ def fit_problem(*, voxels: int = 100_000, frames: int = 26, percent: float = 5.0
     clean = np.concatenate(
         [_curve(closed_form, model)(*truth[i : i + _BLOCK].T[..., None]) for i in range(0, voxels, _BLOCK)]
     )
-    mean = clean.mean(axis=0)
-    grown = np.exp(_DECAY * schedule.mid)
-    near_45 = int(np.argmin(np.abs(schedule.mid - 45.0)))
-    alpha = percent / 100.0 * mean[near_45] / np.sqrt(mean[near_45] * np.exp(_DECAY * 45.0) / 5.0)
-    sd = alpha * np.sqrt(np.maximum(clean, 0.01 * mean) * grown / schedule.duration)
+    sd, weights = counting_noise(clean, schedule, percent=percent)
     noise = np.random.default_rng(SEED_NOISE).standard_normal(clean.shape)
     return FitProblem(
         name=f"{model} {frames} frames {percent:g} %",
@@ -105,8 +101,18 @@ def fit_problem(*, voxels: int = 100_000, frames: int = 26, percent: float = 5.0
         truth=truth,
         clean=clean,
         curves=clean + sd * noise,
-        weights=schedule.duration / grown / (alpha**2 * mean),
+        weights=weights,
     )
+
+
+def counting_noise(clean: Array, frames: FrameSchedule, *, percent: float) -> tuple[Array, Array]:
+    """Standard deviations (N, K) of the module's noise, and the weights (K,) that all voxels share."""
+    mean = clean.mean(axis=0)
+    grown = np.exp(_DECAY * frames.mid)
+    near_45 = int(np.argmin(np.abs(frames.mid - 45.0)))
+    alpha = percent / 100.0 * mean[near_45] / np.sqrt(mean[near_45] * np.exp(_DECAY * 45.0) / 5.0)
+    sd = alpha * np.sqrt(np.maximum(clean, 0.01 * mean) * grown / frames.duration)
+    return sd, frames.duration / grown / (alpha**2 * mean)
 
 
 def draw_truth(voxels: int) -> Array:

@@ -9,23 +9,40 @@ from rich.table import Table
 
 Row = Mapping[str, object]
 
+#: Narrower, the speed table cannot be read.
+_WIDTH = 190
+_COLUMNS = (
+    *("voxels/s", "us", "no errors", "by hand", "ratio", "product"),
+    *("best", "by hand: best", "error", "by hand: error", "others, curves/s"),
+)
+#: Curves a second and thread of other programs on the common benchmark curves (46 frames), as measured on one machine.
+PEERS = {
+    "1TCM": "KMAP-C 1,230-1,450; PETPAL 280; kinfitr 8",
+    "2TCM": "KMAP-C 121-133; PETPAL 100-185; kinfitr 5",
+    "2TCM3k": "KMAP-C 410-437; kinfitr 9",
+    "Patlak": "nifti_dynamic 1.1-4.2 M; PETPAL 225 k; kinfitr 31",
+    "Logan": "PETPAL 216 k; kinfitr 32",
+    "MA1": "kinfitr 50",
+    "SRTM": "NiftyPAD 2.8 k (basis); dynamicpet 140, 9 k (linear); PETPAL 100; kinfitr 16",
+    "MRTM1": "NiftyPAD 1.5 k; kinfitr 35",
+    "LoganRef": "dynamicpet 17 k; NiftyPAD 1 k; kinfitr 133",
+}
+
 
 def print_speed(rows: Sequence[Row]) -> None:
-    """Speed, then quality, one line a problem, by hand beside petkin."""
+    """One line a problem: speed, then quality, by hand beside petkin, then what others were measured to do."""
     console = Console()
-    speed = _table("Processor time a voxel, with standard errors; voxels/s by the clock")
-    for name in ("voxels/s", "us", "us, no errors", "by hand, us", "ratio"):
-        speed.add_column(name, justify="right")
-    quality = _table("Percent within 0.1 / 1 % of the best cost known; median error +- robust spread")
-    for name in ("petkin", "by hand", "petkin", "by hand"):
-        quality.add_column(name, justify="right")
+    console = Console(width=max(console.width, _WIDTH))
+    table = _table(
+        "Processor time a voxel with standard errors, voxels/s by the clock; percent within 0.1 / 1 % of the best; "
+        "median error +- robust spread, percent"
+    )
+    for name in _COLUMNS:
+        table.add_column(name, justify="right")
     for row in rows:
         if "voxels_per_s" in row:
-            speed.add_row(_name(row), *_speed(row))
-        if "outcome" in row:
-            quality.add_row(_name(row), *_quality(row))
-    console.print(speed)
-    console.print(quality)
+            table.add_row(_name(row), *_speed(row), *_quality(row), PEERS.get(str(row["fit"]), ""))
+    console.print(table)
     for line in _remarks(rows):
         console.print(line)
 
@@ -59,11 +76,12 @@ def _speed(row: Row) -> list[str]:
         _number(row, "cpu_us_without_errors", ".2f"),
         _number(row, "by_hand_cpu_us", ",.0f"),
         _number(row, "ratio_cpu", ",.0f"),
+        _number(row, "product_cpu_us", ".3f"),
     ]
 
 
 def _quality(row: Row) -> list[str]:
-    outcome = str(row["outcome"])
+    outcome = str(row.get("outcome", ""))
     return [
         _pair(row, "within_0.1_percent", "within_1_percent", "{} / {}"),
         _pair(row, "by_hand_within_0.1_percent", "by_hand_within_1_percent", "{} / {}"),
@@ -75,9 +93,6 @@ def _quality(row: Row) -> list[str]:
 def _remarks(rows: Sequence[Row]) -> list[str]:
     lines = []
     for row in rows:
-        if "product_cpu_us" in row:
-            bare = _number(row, "product_cpu_us", ".3f")
-            lines.append(f"{row['fit']}: bare numpy products, values only, take {bare} us a voxel.")
         if "wall_over_files" in row:
             whole, read, fit, write = (_number(row, key, ".2f") for key in ("wall_s", "read_s", "fit_s", "write_s"))
             lines.append(

@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperCommand
 
 from petkin.cli.demo import demo
+from petkin.cli.diagnose import diagnose
 from petkin.cli.fit import fit
 from petkin.cli.info import info
 from petkin.cli.models import models
@@ -38,7 +39,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-for verb in (simulate, fit, models, tacs, info, demo):
+for verb in (simulate, fit, diagnose, models, tacs, info, demo):
     app.command(cls=_Panelled)(verb)
 
 

@@ -102,7 +102,7 @@ MID_FRAME_SAMPLING = Effect(
 HALF_LIFE_ERROR = Effect(
     name="half_life_error",
     stage="clock",
-    parameters=ParameterSet((Parameter("error", "1", 0.02, -0.1, 0.1, meaning="relative error of lambda"),)),
+    parameters=ParameterSet((Parameter("error", "1", 0.02, -0.05, 0.05, meaning="relative error of lambda"),)),
     meaning="decay was corrected with a wrong half-life: the correction grows too fast (> 0) or too slowly",
     source="rounded half-lives: 0.1 to 2 %",
     change=_slower,

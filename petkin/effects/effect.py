@@ -35,7 +35,7 @@ class Effect:
         source: where the form and range come from.
         change: the change itself, given a value for every parameter.
         split_by: the measurement that tells it from what looks like it.
-        regional: whether the amplitude may differ between regions.
+        regional: parameters that may differ between regions, the amplitude first.
         flag: whether it is there or not, with no strength of its own.
         grid: values at which a diagnosis starts, by symbol, of parameters other than the amplitude; those that are not
             named here and not "onset", "frame" or "region" stay at their start.
@@ -49,7 +49,7 @@ class Effect:
     source: str
     change: Change
     split_by: str = ""
-    regional: bool = False
+    regional: tuple[str, ...] = ()
     flag: bool = False
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     suits: Callable[[ForwardModel], bool] = _always

@@ -112,7 +112,7 @@ PARTIAL_VOLUME = Effect(
     source="Rousset OG et al. J Nucl Med 1998;39:904-911 (mixing of regions); shares up to 0.3 (small structures)",
     change=_mixing(lambda clock, v: 1.0),
     split_by=_GEOMETRY,
-    regional=True,
+    regional=("share",),
     suits=_several,
 )
 MOTION_STEP = Effect(
@@ -123,7 +123,7 @@ MOTION_STEP = Effect(
     source="Jin X et al. Phys Med Biol 2013, motion of 5 mm: 5 to 10 % in regions",
     change=_mixing(lambda clock, v: after(clock, v["onset"])),
     split_by="the head tracker's record, or images reconstructed before and after the onset",
-    regional=True,
+    regional=("share",),
     suits=_several,
 )
 MOTION_DRIFT = Effect(
@@ -134,7 +134,7 @@ MOTION_DRIFT = Effect(
     source="range as motion_step",
     change=_mixing(lambda clock, v: clock.frames.mid / clock.frames.end[-1]),
     split_by="the head tracker's record",
-    regional=True,
+    regional=("share",),
     suits=_several,
 )
 ATTENUATION_MISMATCH = Effect(
@@ -147,7 +147,7 @@ ATTENUATION_MISMATCH = Effect(
     source="McCord ME et al. J Nucl Med 1992;33:1209-1214: up to 30 % at 2 cm",
     change=_distorting(_attenuated),
     split_by="a second transmission or CT scan after the onset",
-    regional=True,
+    regional=("gain",),
     suits=_several,
 )
 SCATTER_BACKGROUND = Effect(
@@ -183,7 +183,7 @@ DEAD_TIME = Effect(
 GAIN_DRIFT = Effect(
     name="gain_drift",
     stage="imaging",
-    parameters=ParameterSet((Parameter("gain", "1", 0.03, -0.1, 0.1, meaning="relative excess at the end"),)),
+    parameters=ParameterSet((Parameter("gain", "1", 0.03, -0.05, 0.05, meaning="relative excess at the end"),)),
     meaning="the scanner's sensitivity drifts: values are too large by a share that grows linearly; > 0: too large",
     source="daily quality control: 1 to 3 %",
     change=_distorting(_drifting),
@@ -193,7 +193,7 @@ GAIN_STEP = Effect(
     name="gain_step",
     stage="imaging",
     parameters=ParameterSet(
-        (Parameter("gain", "1", 0.05, -0.2, 0.2, meaning="relative excess from the onset on"), _ONSET)
+        (Parameter("gain", "1", 0.05, -0.1, 0.1, meaning="relative excess from the onset on"), _ONSET)
     ),
     meaning="from `onset` on all values are too large (> 0) or too small by a factor",
     source="1 to 5 % between bed positions or scans",

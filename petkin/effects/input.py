@@ -179,7 +179,7 @@ PARENT_FRACTION = Effect(
     parameters=ParameterSet(
         (
             Parameter(
-                "loss", "1", 0.3, -0.5, 1.0, meaning="share by which late plasma holds less tracer than recorded"
+                "loss", "1", 0.3, -0.5, 0.95, meaning="share by which late plasma holds less tracer than recorded"
             ),
             Parameter("half_time", "min", 10.0, 1.0, 60.0, meaning="when half of that is lost"),
         )

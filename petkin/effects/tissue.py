@@ -74,7 +74,7 @@ SECOND_TISSUE = Effect(
     source="ranges of arXiv 2403.08194; Gunn RN et al. 2001, doi:10.1097/00004647-200106000-00002 (form)",
     change=_bind,
     split_by="a longer scan, or a scan after blocking",
-    regional=True,
+    regional=("k3", "k4"),
     grid={"k4": (0.01, 0.03, 0.1)},
     suits=_one_tissue,
 )
@@ -118,7 +118,7 @@ TIME_VARYING_KINETICS = Effect(
     source="Normandin MD et al. NeuroImage 2012;59:947-960 (gamma-variate); 100 % and more",
     change=_coursing(lambda m, v: Course(release=placed(m, v, "release"), onset=v["onset"], width=v["width"])),
     split_by="a scan at rest, without what set it off",
-    regional=True,
+    regional=("release",),
     grid={"width": (5.0, 15.0)},
 )
 FLOW_CHANGE = Effect(

@@ -39,7 +39,7 @@ BLOOD_VOLUME_EFFECT = Effect(
     source="Innis RB et al. J Cereb Blood Flow Metab 2007;27:1533-1539, doi:10.1038/sj.jcbfm.9600493",
     change=_fill,
     split_by="early frames of 5 s or less, or a scan of labelled blood",
-    regional=True,
+    regional=("vB",),
 )
 
 VASCULAR_TRAPPING = Effect(

@@ -8,12 +8,14 @@ from petkin.reporting.contents import (
     RegionCurves,
     TruthRow,
 )
+from petkin.reporting.gap_report import GapReport, render_gap_report
 from petkin.reporting.html import render_fit_report, write_fit_report
 from petkin.reporting.input_curves import BloodSamples, InputCurves, curve_times
 
 __all__ = [
     "BloodSamples",
     "FitReport",
+    "GapReport",
     "InputCurves",
     "MapSet",
     "ModelSection",
@@ -22,5 +24,6 @@ __all__ = [
     "TruthRow",
     "curve_times",
     "render_fit_report",
+    "render_gap_report",
     "write_fit_report",
 ]

@@ -41,7 +41,7 @@ def render_fit_report(report: FitReport) -> str:
     names = report.regions.names if report.regions is not None else ()
     with drawing():
         return (
-            _environment()
+            environment()
             .get_template("fit_report.html.j2")
             .render(
                 report=report,
@@ -151,7 +151,8 @@ def _citations(report: FitReport) -> list[str]:
     return list(dict.fromkeys(every))
 
 
-def _environment() -> Environment:
+def environment() -> Environment:
+    """Where templates are found, and how strict they are."""
     return Environment(
         loader=PackageLoader("petkin.reporting"),
         autoescape=True,

@@ -1,0 +1,21 @@
+"""Diagnosis: where a simulator departs from data, which effect it misses, and how far that closes the gap."""
+
+from petkin.diagnosis.design import Visible, indistinct
+from petkin.diagnosis.diagnose import Cause, Diagnosis, diagnose, foresee_design
+from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
+from petkin.diagnosis.refit import State
+
+__all__ = [
+    "Cause",
+    "Coordinates",
+    "Diagnosis",
+    "Hypothesis",
+    "Shape",
+    "Simulator",
+    "State",
+    "Term",
+    "Visible",
+    "diagnose",
+    "foresee_design",
+    "indistinct",
+]

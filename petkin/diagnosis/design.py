@@ -1,0 +1,111 @@
+"""What a design can tell before any data: detectability of every hypothesis, and what each is taken for.
+
+d'(e) = |a P g_e|,   c(e, e') = |g_e' P g_e'| / (|P g_e| |P g_e'|),   P the projector off all that is refitted
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis.effect import Hypothesis, Simulator
+from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.which import Template
+
+Array = NDArray[np.float64]
+
+#: An effect below this d' at the end of its range cannot be seen; two above this cosine cannot be told apart.
+INVISIBLE, SAME = 1.5, 0.97
+
+
+@dataclass(frozen=True)
+class Visible:
+    """One hypothesis in a design.
+
+    Args:
+        hypothesis: which.
+        detectability: d' at the end of its range, after the refit.
+        kept: share of its whitened size that the refit leaves.
+        own: own coordinates around which this holds (C, Po).
+        shift: of them when it is there at the end of its range and left out (C, Po).
+        partners: names and cosines of those it is taken for, most alike first.
+    """
+
+    hypothesis: Hypothesis
+    detectability: float
+    kept: float
+    own: Array
+    shift: Array
+    partners: tuple[tuple[str, float], ...]
+
+    @property
+    def invisible(self) -> bool:
+        return self.detectability < INVISIBLE
+
+
+def foresee(simulator: Simulator, fit: Fit, found: Sequence[Template]) -> tuple[Visible, ...]:
+    """Every hypothesis at its most visible setting, without any prior on what is refitted.
+
+    Args:
+        simulator: what predicts.
+        fit: to data, or to expected values.
+        found: templates around it.
+    """
+    projection = Projection.of(fit.jacobian, np.full(len(fit.penalty), 1e-12))
+    return _all(_strongest(found, projection), projection, fit, simulator)
+
+
+def _strongest(found: Sequence[Template], projection: Projection) -> list[tuple[Hypothesis, Array]]:
+    """One column a hypothesis, at the end of its range and the setting where it is seen best; all channels alike."""
+    best: dict[str, tuple[float, Hypothesis, Array]] = {}
+    for template in found:
+        hypothesis = template.hypothesis
+        reach = 1.0 if hypothesis.flag else max(hypothesis.upper, -hypothesis.lower)
+        column = reach * template.columns.sum(axis=1)
+        size = float(projection.norms(column[:, None])[0])
+        if hypothesis.name not in best or size > best[hypothesis.name][0]:
+            best[hypothesis.name] = (size, hypothesis, column)
+    return [(hypothesis, column) for _, hypothesis, column in best.values()]
+
+
+def _all(
+    entries: Sequence[tuple[Hypothesis, Array]], projection: Projection, fit: Fit, simulator: Simulator
+) -> tuple[Visible, ...]:
+    columns = np.stack([column for _, column in entries], axis=1)
+    inner = projection.inner(columns, columns)
+    size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    raw = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    cosine = np.abs(inner) / np.outer(size, size)
+    shape = (len(simulator.channels), len(simulator.own))
+    solved = np.linalg.lstsq(fit.jacobian, columns, rcond=1e-10)[0]
+    shifts = np.asarray(solved[: shape[0] * shape[1]], np.float64)
+    names = [hypothesis.name for hypothesis, _ in entries]
+    return tuple(
+        Visible(
+            hypothesis,
+            float(size[i]),
+            float(size[i] / raw[i]),
+            fit.state.own,
+            shifts[:, i].reshape(shape),
+            tuple((names[j], float(cosine[i, j])) for j in np.argsort(-cosine[i]) if j != i)[:3],
+        )
+        for i, (hypothesis, _) in enumerate(entries)
+    )
+
+
+def indistinct(visible: Sequence[Visible]) -> list[tuple[tuple[str, ...], Visible]]:
+    """Effects that a design cannot show, and pairs that it cannot split."""
+    found: list[tuple[tuple[str, ...], Visible]] = [((v.hypothesis.name,), v) for v in visible if v.invisible]
+    hidden = {v.hypothesis.name for v in visible if v.invisible}
+    seen: set[frozenset[str]] = set()
+    for v in (v for v in visible if not v.invisible):
+        for name, cosine in v.partners:
+            pair = frozenset((v.hypothesis.name, name))
+            if cosine >= SAME and name not in hidden and pair not in seen:
+                seen.add(pair)
+                found.append((tuple(sorted(pair)), v))
+    return found

@@ -1,0 +1,156 @@
+"""Hypotheses: what may be missing in a simulator, and the simulator that they are about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Standard deviation of an amplitude's prior, in widths of its plausible range.
+_PRIOR_WIDTHS = 1.5
+_ALMOST_ALL = 0.95
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A parameter of a hypothesis that is fitted beside its amplitude, on a log scale."""
+
+    symbol: str
+    lower: float
+    upper: float
+    by_channel: bool = False
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An effect that may be missing.
+
+    Args:
+        name: as in reports.
+        stage: part of the observation chain that it belongs to.
+        symbol, unit: of the amplitude.
+        lower, upper: plausible range of the amplitude; zero is no effect.
+        settings: values of the other parameters to try, one mapping a start.
+        shapes: which of them are fitted from there.
+        by_channel: whether the amplitude differs between channels.
+        flag: whether it is there or not, at amplitude 1.
+        split_by: the measurement that would tell it from what looks like it.
+    """
+
+    name: str
+    stage: str
+    symbol: str
+    unit: str
+    lower: float
+    upper: float
+    settings: tuple[Mapping[str, float], ...] = ({},)
+    shapes: tuple[Shape, ...] = ()
+    by_channel: bool = False
+    flag: bool = False
+    split_by: str = ""
+
+    @property
+    def signed(self) -> bool:
+        return self.lower < 0
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Where a fit may go: three ranges, but a relative amplitude stays below one where its range does."""
+        if self.unit != "1":
+            return 3.0 * self.lower, 3.0 * self.upper
+        return -min(-3.0 * self.lower, max(-self.lower, _ALMOST_ALL)), min(
+            3.0 * self.upper, max(self.upper, _ALMOST_ALL)
+        )
+
+    @property
+    def width(self) -> float:
+        """Standard deviation of the amplitude's prior."""
+        return _PRIOR_WIDTHS * max(abs(self.lower), abs(self.upper))
+
+    @property
+    def typical(self) -> float:
+        """Amplitude at which a template is taken: a tenth of the range, or all of a flag."""
+        return 1.0 if self.flag else 0.1 * (self.upper if self.upper > 0 else self.lower)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A hypothesis at some strength.
+
+    Args:
+        hypothesis: which.
+        amplitude: a number, or one a channel.
+        setting: values of its other parameters, each a number or one a channel.
+    """
+
+    hypothesis: Hypothesis
+    amplitude: Any
+    setting: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Parameters that every comparison refits, in coordinates where their prior is normal.
+
+    Args:
+        symbols: names.
+        mean, sd: of the prior; an infinite sd is none.
+        step: for difference quotients.
+    """
+
+    symbols: tuple[str, ...]
+    mean: Array
+    sd: Array
+    step: Array
+
+    def __len__(self) -> int:
+        return len(self.symbols)
+
+
+class Simulator(Protocol):
+    """What predicts all channels at all samples."""
+
+    @property
+    def channels(self) -> tuple[str, ...]: ...
+
+    @property
+    def times(self) -> Array:
+        """Of the samples (K,), > 0."""
+        ...
+
+    @property
+    def own(self) -> Coordinates:
+        """What every channel has for itself."""
+        ...
+
+    @property
+    def shared(self) -> Coordinates:
+        """What all channels have in common."""
+        ...
+
+    @property
+    def starts(self) -> tuple[Array, ...]:
+        """Values of `own` to start from."""
+        ...
+
+    @property
+    def accuracy(self) -> float:
+        """Relative error of its predictions."""
+        ...
+
+    def predict(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+        """Values (..., channels, samples) for `own` (..., channels, parameters) and `shared` (parameters,)."""
+        ...
+
+    def spread(self, values: Array) -> Array:
+        """Relative standard deviation of noise (channels, samples) for expected values."""
+        ...
+
+    def flexible(self, shared: Array) -> Array:
+        """Non-negative curves (curves, samples) whose mixtures hold any channel without a gap."""
+        ...

@@ -1,0 +1,45 @@
+"""Projection: what a refit of the nuisance parameters leaves of a residual or a template.
+
+P = I - J (J'J + L)^{-1} J',  taken on data and prior rows together, where it is a projector
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis.refit import Fit
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Orthonormal columns of the nuisance (n + p, p): data rows, then the rows of their prior."""
+
+    axes: Array
+    rows: int
+
+    @classmethod
+    def of(cls, jacobian: Array, penalty: Array) -> Projection:
+        """From whitened derivatives (n, p) and 1 / sd^2 of every parameter."""
+        stacked = np.concatenate([jacobian, np.diag(np.sqrt(penalty))])
+        scale = np.linalg.norm(stacked, axis=0)
+        left, size, _ = np.linalg.svd(stacked / np.where(scale > 0, scale, 1.0), full_matrices=False)
+        return cls(left[:, size > 1e-9 * size[0]], len(jacobian))
+
+    @classmethod
+    def of_fit(cls, fit: Fit) -> Projection:
+        return cls.of(fit.jacobian, fit.penalty)
+
+    def inner(self, left: Array, right: Array) -> Array:
+        """a' P b for data columns a (n, i) and b (n, j)."""
+        data = self.axes[: self.rows]
+        return left.T @ right - (left.T @ data) @ (data.T @ right)
+
+    def norms(self, columns: Array) -> Array:
+        """sqrt(a' P a) of columns (n, i)."""
+        through = self.axes[: self.rows].T @ columns
+        return np.sqrt(np.maximum((columns**2).sum(axis=0) - (through**2).sum(axis=0), 0.0))

@@ -1,0 +1,224 @@
+"""Refits: the simulator's own parameters, and what a hypothesis adds, by damped Gauss-Newton with priors.
+
+    minimise |W (y - f(x))|^2 + |(x - m) / sd|^2
+
+Channels are perturbed together, so that a Jacobian costs as many predictions as one channel has parameters.
+
+Reference: Levenberg K. Quart Appl Math 1944;2:164-168; Marquardt DW. SIAM J Appl Math 1963;11:431-441.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from petkin.diagnosis.effect import Array, Hypothesis, Shape, Simulator, Term
+from petkin.diagnosis.noise import Noise
+
+#: Iterations, the fall of the objective at which they end, and how many more while it falls by this share.
+_MOST, _SETTLED = 12, 0.01
+_LONGEST, _FALLING = 40, 0.02
+#: Difference quotients take this share of an amplitude's range, and this much of the log of a shape.
+_AMPLITUDE_STEP, _SHAPE_STEP = 1e-3, 1e-3
+#: Prior of the log of a shape.
+_SHAPE_SD = 0.8
+
+
+@dataclass(frozen=True)
+class State:
+    """A point: own (C, Po), shared (S,), terms."""
+
+    own: Array
+    shared: Array
+    terms: tuple[Term, ...] = ()
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted point.
+
+    Args:
+        state: where.
+        values: predicted (C, K).
+        residual: whitened (C K,).
+        jacobian: whitened columns, own (C Po), shared (S), then those of the terms (C K, n).
+        penalty: 1 / sd^2 of every column (n,).
+        objective: chi-square and prior together.
+        nuisance: how many columns are the simulator's own, before those of the terms.
+    """
+
+    state: State
+    values: Array
+    residual: Array
+    jacobian: Array
+    penalty: Array
+    objective: float
+    nuisance: int
+
+    @property
+    def chi2(self) -> float:
+        return float(self.residual @ self.residual)
+
+
+def refit(simulator: Simulator, data: Array, noise: Noise, start: State, *, iterations: int = _MOST) -> Fit:
+    """The nearest minimum from a start.
+
+    Args:
+        simulator: what predicts.
+        data: (C, K).
+        noise: its covariance.
+        start: where to begin; its terms say what is fitted besides.
+        iterations: at most so many, unless the objective still falls by much.
+    """
+    target, damping = noise.whiten(data), 1e-3
+    here = _at(simulator, noise, target, start)
+    for i in range(_LONGEST):
+        offset = _offsets(simulator, here.state)
+        normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
+        slope = here.jacobian.T @ here.residual - here.penalty * offset
+        fell = 0.0
+        while damping < 1e6:
+            scale = damping * np.diag(normal) + 1e-12
+            step = np.asarray(np.linalg.solve(normal + np.diag(scale), slope), np.float64)
+            moved = _moved(simulator, here.state, step)
+            objective = _objective(simulator, noise, target, moved)
+            if objective < here.objective:
+                fell, damping = here.objective - objective, damping / 10.0
+                here = _at(simulator, noise, target, moved)
+                break
+            damping *= 8.0
+        if fell < _SETTLED or (i + 1 >= iterations and fell < _FALLING * here.objective):
+            break
+        damping = max(damping, 1e-9)
+    return here
+
+
+def _objective(simulator: Simulator, noise: Noise, target: Array, state: State) -> float:
+    residual = target - noise.whiten(simulator.predict(state.own, state.shared, state.terms))
+    offset = _offsets(simulator, state)
+    return float(residual @ residual + (penalties(simulator, state) * offset**2).sum())
+
+
+def _at(simulator: Simulator, noise: Noise, target: Array, state: State) -> Fit:
+    values, jacobian = linearised(simulator, state)
+    residual = target - noise.whiten(values)
+    penalty = penalties(simulator, state)
+    objective = float(residual @ residual + (penalty * _offsets(simulator, state) ** 2).sum())
+    nuisance = state.own.size + state.shared.size
+    return Fit(state, values, residual, noise.whiten(jacobian).T, penalty, objective, nuisance)
+
+
+def linearised(simulator: Simulator, state: State) -> tuple[Array, Array]:
+    """Values (C, K) and their derivatives by every coordinate (n, C, K)."""
+    own, steps = simulator.own, simulator.own.step
+    count, size = len(simulator.channels), len(own)
+    batch = np.repeat(state.own[None], size + 1, axis=0)
+    for p in range(size):
+        batch[p + 1, :, p] += steps[p]
+    found = simulator.predict(batch, state.shared, state.terms)
+    values = found[0]
+    columns = [_spread_out((found[p + 1] - values) / steps[p]) for p in range(size)]
+    mine = np.stack(columns, axis=1).reshape(count * size, *values.shape)
+    rest = []
+    for s in range(len(simulator.shared)):
+        moved = state.shared.copy()
+        moved[s] += simulator.shared.step[s]
+        rest.append(((simulator.predict(state.own, moved, state.terms) - values) / simulator.shared.step[s])[None])
+    for i, term in enumerate(state.terms):
+        for part in _parts(term):
+            changed = _with_step(term, part, 1.0)
+            terms = (*state.terms[:i], changed, *state.terms[i + 1 :])
+            change = (simulator.predict(state.own, state.shared, terms) - values) / _size_of_step(term, part)
+            rest.append(_spread_out(change) if _is_local(term, part) else change[None])
+    return values, np.concatenate([mine, *rest])
+
+
+def _spread_out(change: Array) -> Array:
+    """A change of all channels (C, K) as one column a channel (C, C, K)."""
+    return np.eye(len(change))[:, :, None] * change[None]
+
+
+def _parts(term: Term) -> tuple[str, ...]:
+    """What is fitted of a term: its amplitude unless it is a flag, and its shapes."""
+    amplitude = () if term.hypothesis.flag else ("",)
+    return (*amplitude, *(shape.symbol for shape in term.hypothesis.shapes))
+
+
+def _is_local(term: Term, part: str) -> bool:
+    """Whether a part differs between channels."""
+    return shape_of(term, part).by_channel if part else term.hypothesis.by_channel
+
+
+def shape_of(term: Term, symbol: str) -> Shape:
+    return next(shape for shape in term.hypothesis.shapes if shape.symbol == symbol)
+
+
+def parts(term: Term, channels: int) -> list[tuple[str, int]]:
+    """What is fitted of a term, "" for its amplitude, and in how many columns."""
+    return [(part, channels if _is_local(term, part) else 1) for part in _parts(term)]
+
+
+def _size_of_step(term: Term, part: str) -> float:
+    return _SHAPE_STEP if part else _AMPLITUDE_STEP * _reach(term.hypothesis)
+
+
+def _reach(hypothesis: Hypothesis) -> float:
+    return max(abs(hypothesis.lower), abs(hypothesis.upper))
+
+
+def _with_step(term: Term, part: str, count: Any) -> Term:
+    step = count * _size_of_step(term, part)
+    if not part:
+        return Term(term.hypothesis, term.amplitude + step, term.setting)
+    return Term(term.hypothesis, term.amplitude, {**term.setting, part: term.setting[part] * np.exp(step)})
+
+
+def _moved(simulator: Simulator, state: State, step: Array) -> State:
+    count, size = len(simulator.channels), len(simulator.own)
+    own = state.own + np.clip(step[: count * size].reshape(count, size), -2.0, 2.0)
+    place = count * size + len(simulator.shared)
+    shared = state.shared + step[count * size : place]
+    terms = []
+    for term in state.terms:
+        for part, width in parts(term, count):
+            by = step[place : place + width] if _is_local(term, part) else step[place]
+            term, place = _advanced(term, part, by), place + width
+        terms.append(term)
+    return State(own, shared, tuple(terms))
+
+
+def _advanced(term: Term, part: str, by: Any) -> Term:
+    """A term moved within its limits."""
+    hypothesis = term.hypothesis
+    if not part:
+        return Term(hypothesis, np.clip(term.amplitude + by, *hypothesis.limits), term.setting)
+    shape = shape_of(term, part)
+    value = np.clip(term.setting[part] * np.exp(np.clip(by, -1.0, 1.0)), shape.lower, shape.upper)
+    return Term(hypothesis, term.amplitude, {**term.setting, part: value})
+
+
+def penalties(simulator: Simulator, state: State) -> Array:
+    """1 / sd^2 of every coordinate."""
+    count = len(simulator.channels)
+    found = [np.tile(simulator.own.sd**-2.0, count), simulator.shared.sd**-2.0]
+    for term in state.terms:
+        for part, width in parts(term, count):
+            found.append(np.full(width, _SHAPE_SD**-2.0 if part else term.hypothesis.width**-2.0))
+    return np.concatenate(found)
+
+
+def _offsets(simulator: Simulator, state: State) -> Array:
+    """Coordinates less the means of their priors."""
+    found = [(state.own - simulator.own.mean).ravel(), state.shared - simulator.shared.mean]
+    for term in state.terms:
+        for part, width in parts(term, len(simulator.channels)):
+            value = np.log(term.setting[part] / _middle(term, part)) if part else term.amplitude
+            found.append(np.broadcast_to(value, (width,)))
+    return np.concatenate(found)
+
+
+def _middle(term: Term, part: str) -> float:
+    shape = shape_of(term, part)
+    return float(np.sqrt(shape.lower * shape.upper))

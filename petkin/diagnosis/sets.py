@@ -1,0 +1,52 @@
+"""From evidence to probabilities, and to the set of explanations that the data cannot split."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis.nuisance import Projection
+
+Array = NDArray[np.float64]
+
+#: Mass that a set must hold, and the cosine above which two explanations are one.
+_MASS, ALIKE = 0.9, 0.95
+#: Evidence is divided by this: refits agree less well between programs than within one.
+_TEMPERATURE = 1.3
+
+
+def probabilities(evidence: Mapping[str, float], unknown: float) -> tuple[dict[str, float], float]:
+    """Probabilities of named explanations and of none of them, which sum to 1."""
+    values = np.array([*evidence.values(), unknown]) / _TEMPERATURE
+    share = np.exp(values - np.logaddexp.reduce(values))
+    return {name: float(p) for name, p in zip(evidence, share)}, float(share[-1])
+
+
+def confusability(effects: Sequence[Array], projection: Projection) -> Array:
+    """|cosine| between what effects add to the whitened data, after the projection (n, n)."""
+    columns = np.stack(effects, axis=1)
+    inner = projection.inner(columns, columns)
+    size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    return np.abs(inner) / np.outer(size, size)
+
+
+def smallest_set(probability: Mapping[str, float], alike: Mapping[frozenset[str], float]) -> tuple[str, ...]:
+    """Fewest explanations that hold the mass among the named, with all that are alike to one of the likely ones.
+
+    Args:
+        probability: by name.
+        alike: cosines by pair of names; absent ones count as distinct.
+    """
+    total = sum(probability.values())
+    ranked = sorted(probability, key=lambda name: -probability[name])
+    chosen, held = [], 0.0
+    for name in ranked:
+        if chosen and held >= _MASS * total:
+            break
+        chosen.append(name)
+        held += probability[name]
+    leader = chosen[0]
+    partners = [n for n in ranked if n not in chosen and alike.get(frozenset((leader, n)), 0.0) >= ALIKE]
+    return (*chosen, *partners)

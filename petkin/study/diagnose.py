@@ -1,0 +1,205 @@
+"""`petkin diagnose`: every scan of a study against what the simulator can produce."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petkin.diagnosis import Diagnosis, Visible, diagnose, foresee_design
+from petkin.effects import EFFECTS
+from petkin.errors import InputError
+from petkin.imaging import FrameObservation
+from petkin.io import (
+    AtomicFolder,
+    RegionalCurves,
+    json_text,
+    read_regions,
+    require_cover,
+    write_bytes,
+    write_text,
+)
+from petkin.io.names import report_path
+from petkin.reporting import GapReport, RegionCurves, render_gap_report
+from petkin.study.diagnosis.answer import answer
+from petkin.study.diagnosis.blood import recorded_input
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
+from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.fit_scan import Progress
+from petkin.study.outputs import require_own_folder, write_study_description
+from petkin.study.reading import read_sources
+from petkin.study.request import FitRequest
+from petkin.study.series import extract
+from petkin.study.sources import Source
+
+#: Effects whose weak template says little of what they do at full strength: these always get a refit.
+_ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
+#: Fewer frames than this with activity cannot carry a diagnosis.
+_FEWEST_FRAMES = 10
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What came of one scan: its label, the answer, and where the report is."""
+
+    label: str
+    answer: dict[str, Any]
+    report: Path
+
+
+def _silent(_: str, __: float) -> None:
+    """Tells nobody."""
+
+
+def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tuple[Diagnosed, ...]:
+    """Diagnose every scan of a study and write JSON and HTML, each scan whole or not at all.
+
+    Raises:
+        InputError: in one line, what makes a diagnosis impossible.
+    """
+    progress("reading", 0.0)
+    name, out, sources = read_sources(_reading(request))
+    require_own_folder(out)
+    scans = [(source, *prepared(source, request)) for source in sources]
+    written = []
+    for i, (source, curves, simulator) in enumerate(scans):
+
+        def here(step: str, done: float, i: int = i, label: str = source.label) -> None:
+            progress(f"{label}: {step}", (i + done) / len(scans))
+
+        started = time.process_time()
+        found = diagnose(
+            simulator,
+            curves.values,
+            hypotheses(EFFECTS, simulator, without=frozenset(request.without)),
+            always=_ALWAYS,
+            seed=request.seed,
+            progress=here,
+        )
+        seconds = time.process_time() - started
+        text = answer(
+            found, simulator, subject=source.label, model=simulator.label, seed=request.seed, seconds=round(seconds, 2)
+        )
+        report = _report(source, curves, simulator, found, text, request)
+        relative = report_path(source.entities, desc="gap")
+        with AtomicFolder(out) as folder:
+            write_study_description(folder, name, out=out, raw=request.target)
+            write_text(folder.path(relative.with_suffix(".json")), json_text(text))
+            write_bytes(folder.path(relative), render_gap_report(report).encode())
+        written.append(Diagnosed(source.label, text, out / relative))
+    progress("done", 1.0)
+    return tuple(written)
+
+
+def foresee_study(request: DiagnoseRequest) -> tuple[tuple[str, str], ...]:
+    """For every scan, its label and a table of what its frames, regions and blood could ever tell.
+
+    Noise is that of the scan's own curves; no effect is judged from them.
+
+    Raises:
+        InputError: as `diagnose_study`.
+    """
+    _, _, sources = read_sources(_reading(request))
+    found = []
+    for source in sources:
+        curves, simulator = prepared(source, request)
+        candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
+        found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
+    return tuple(found)
+
+
+def design_table(visible: tuple[Visible, ...]) -> str:
+    """d' at the end of the plausible range, what the refit keeps, and the likeliest double, a line an effect."""
+    lines = [f"  {'effect':24}{'d prime':>9}{'kept':>8}  taken for"]
+    for v in sorted(visible, key=lambda v: -v.detectability):
+        partners = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in v.partners[:2])
+        hidden = "  cannot be seen" if v.invisible else ""
+        lines.append(f"  {v.hypothesis.name:24}{v.detectability:9.2f}{100 * v.kept:7.2g}%  {partners}{hidden}")
+    return "\n".join(lines)
+
+
+def _reading(request: DiagnoseRequest) -> FitRequest:
+    return FitRequest(
+        target=request.target,
+        out=request.out,
+        models=(request.compartments.label,),
+        level="region",
+        subjects=request.subjects,
+        sessions=request.sessions,
+        seg=request.seg,
+        command_line=request.command_line,
+    )
+
+
+def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, RegionalSimulator]:
+    """Regional curves of a scan, and the simulator that they are compared with.
+
+    Raises:
+        InputError: no curves, no blood, too few frames, or values that are not finite.
+    """
+    curves = _curves(source)
+    if source.blood is None:
+        raise InputError(f"{source.label}: there is no blood (_blood.tsv); the simulator needs an arterial input.")
+    _check(curves, source.label)
+    require_cover(source.blood, source.frames)
+    end = float(curves.frames.end[-1])
+    arterial = recorded_input(source.blood, end)
+    nodes = reading_nodes(arterial, end)
+    clock = FrameObservation(curves.frames, source.decay)
+    return curves, RegionalSimulator(
+        curves.names, request.compartments.label, read_at(arterial, nodes), clock, request.included, nodes
+    )
+
+
+def _curves(source: Source) -> RegionalCurves:
+    if source.curves is not None:
+        return source.curves
+    assert source.image is not None
+    assert source.dseg is not None
+    _, curves = extract(source.image, source.frames, None, "", read_regions(source.dseg, source.image))
+    assert curves is not None
+    return curves
+
+
+def _check(curves: RegionalCurves, label: str) -> None:
+    if not np.isfinite(curves.values).all():
+        r, k = np.argwhere(~np.isfinite(curves.values))[0]
+        raise InputError(
+            f"{label}: region {curves.names[r]!r} has no finite value in frame {k + 1}; leave the region out."
+        )
+    if curves.values.shape[1] < _FEWEST_FRAMES:
+        raise InputError(
+            f"{label}: {curves.values.shape[1]} frames are too few for a diagnosis; {_FEWEST_FRAMES} is the least."
+        )
+    for name, row in zip(curves.names, curves.values):
+        if not row.max() > 0:
+            raise InputError(f"{label}: region {name!r} holds no activity in any frame; leave it out.")
+
+
+def _report(
+    source: Source,
+    curves: RegionalCurves,
+    simulator: RegionalSimulator,
+    found: Diagnosis,
+    text: dict[str, Any],
+    request: DiagnoseRequest,
+) -> GapReport:
+    shape = curves.values.shape
+    leader = found.causes[0].fit if found.causes else None
+    return GapReport(
+        title=f"{source.label}: where the simulator and the scan part",
+        answer=text,
+        curves=RegionCurves(curves.names, curves.frames, curves.values),
+        before=found.base.values,
+        after=None if leader is None else leader.values,
+        residual=found.base.residual.reshape(shape),
+        residual_after=None if leader is None else leader.residual.reshape(shape),
+        alike=tuple(sorted((tuple(sorted(pair)), c) for pair, c in found.alike.items())),
+        visible=tuple((v.hypothesis.name, v.detectability, v.kept, v.partners[:1]) for v in found.visible),
+        scan=source.facts,
+        warnings=tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks])),
+        command_line=request.command_line,
+    )

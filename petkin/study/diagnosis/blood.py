@@ -1,0 +1,126 @@
+"""The blood record as a diagnosis reads it: straight lines between samples, nothing corrected, nothing modelled.
+
+Each column is interpolated by itself (missing rows are skipped) and then multiplied; activities are zero before time 0
+and rise straight to the first sample; the last value is held to the end of the scan. A fit reads blood with more care
+(`petkin.inputs.from_blood`), but what a careful reading repairs, a diagnosis must be able to find.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+
+from petkin.dynamics import PiecewiseLinear
+from petkin.errors import InputError
+from petkin.inputs import InputFunction
+from petkin.io import BloodRecord
+
+Array = NDArray[np.float64]
+
+_PLASMA, _BLOOD = "plasma_radioactivity", "whole_blood_radioactivity"
+_FRACTION, _AIF = "metabolite_parent_fraction", "AIF"
+
+
+def recorded_input(blood: BloodRecord, end: float) -> InputFunction:
+    """Plasma x parent fraction and whole blood as recorded, to the end of the scan (min).
+
+    With two recordings the automatic one gives whole blood up to its end and the manual one the rest; plasma is whole
+    blood times the interpolated plasma-to-blood ratio where it has no samples of its own.
+
+    Raises:
+        InputError: no plasma, or no whole blood and nothing to stand for it.
+    """
+    manual = blood.manual if blood.manual is not None else blood.automatic
+    automatic = blood.automatic if blood.manual is not None else None
+    if manual is None:
+        raise InputError(f"{blood.where}: there are no samples; a diagnosis needs the arterial input.")
+    whole = _samples(manual, _BLOOD)
+    if automatic is not None and (fast := _samples(automatic, _BLOOD)) is not None:
+        whole = _joined(fast, whole)
+    if (given := _samples(manual, _AIF)) is not None:
+        curve = _lines(*given, end)
+        return InputFunction(curve, curve if whole is None else _lines(*whole, end), end=float(given[0][-1]))
+    plasma = _samples(manual, _PLASMA)
+    if plasma is None:
+        raise InputError(f"{blood.where}: there is no column '{_PLASMA}' nor '{_AIF}'; a diagnosis needs plasma.")
+    remarks = _held({"plasma": plasma, "whole blood": whole}, end)
+    if automatic is not None and whole is not None:
+        plasma = _through_ratio(plasma, whole)
+    fraction = _samples(manual, _FRACTION)
+    total, knots = _lines(*plasma, end), [plasma[0], np.array([0.0, end])]
+    if fraction is not None:
+        knots.append(fraction[0])
+    times = np.unique(np.concatenate(knots))
+    times = _refined(times[(times >= 0) & (times <= end)], fraction is not None)
+    t = torch.from_numpy(times)
+    share = None if fraction is None else PiecewiseLinear(t, torch.from_numpy(np.interp(times, *fraction)))
+    input_curve = total if share is None else PiecewiseLinear(t, total(t) * share.values)
+    if whole is None:
+        remarks.append("There is no whole blood; plasma stands for it.")
+    return InputFunction(
+        input_curve,
+        total if whole is None else _lines(*whole, end),
+        end=float(plasma[0][-1]),
+        remarks=tuple(remarks),
+        total_plasma=total,
+        parent_fraction=share,
+    )
+
+
+def _samples(table: pd.DataFrame, column: str) -> tuple[Array, Array] | None:
+    """Times and values of a column, missing rows skipped; None where there is none."""
+    if column not in table:
+        return None
+    times, values = table["time"].to_numpy(np.float64), table[column].to_numpy(np.float64)
+    known = np.isfinite(values) & np.isfinite(times)
+    return (times[known], values[known]) if known.any() else None
+
+
+def _joined(fast: tuple[Array, Array], slow: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    if slow is None:
+        return fast
+    later = slow[0] > fast[0][-1]
+    return np.concatenate([fast[0], slow[0][later]]), np.concatenate([fast[1], slow[1][later]])
+
+
+def _through_ratio(plasma: tuple[Array, Array], whole: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Plasma at its own samples, and blood times the ratio at blood samples before the last of them."""
+    at = np.interp(plasma[0], *whole)
+    usable = (at > 0) & (plasma[0] > 0)
+    if not usable.any():
+        return plasma
+    ratio = plasma[1][usable] / at[usable]
+    more = np.setdiff1d(whole[0], plasma[0])
+    derived = np.interp(more, *whole) * np.interp(more, plasma[0][usable], ratio)
+    times = np.concatenate([plasma[0], more])
+    order = np.argsort(times, kind="stable")
+    return times[order], np.concatenate([plasma[1], derived])[order]
+
+
+def _lines(times: Array, values: Array, end: float) -> PiecewiseLinear:
+    times, values = times[times >= 0], values[times >= 0]
+    if times[0] > 0:
+        times, values = np.append(0.0, times), np.append(0.0, values)
+    if times[-1] < end:
+        times, values = np.append(times, end), np.append(values, values[-1])
+    return PiecewiseLinear(torch.from_numpy(times), torch.from_numpy(values))
+
+
+def _refined(times: Array, product: bool) -> Array:
+    """Halves and quarters of long pieces, since a product of two straight lines is bent."""
+    if not product:
+        return times
+    pieces = [times]
+    for part in (0.25, 0.5, 0.75):
+        pieces.append(times[:-1] + part * np.diff(times))
+    return np.unique(np.concatenate(pieces))
+
+
+def _held(curves: dict[str, tuple[Array, Array] | None], end: float) -> list[str]:
+    return [
+        f"Samples of {name} end at {curve[0][-1]:.2f} min, the scan at {end:.2f} min; the last value is held."
+        for name, curve in curves.items()
+        if curve is not None and curve[0][-1] < end - 1e-9
+    ]

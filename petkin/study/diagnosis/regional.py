@@ -1,0 +1,253 @@
+"""Regional curves as the engine of diagnosis sees them: channels are regions, samples are frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis import Coordinates, Hypothesis, Shape, Term
+from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vessels
+from petkin.imaging import CountingNoise, FrameObservation
+from petkin.inputs import InputFunction
+from petkin.kinetics import compartment_model
+from petkin.units import SECONDS_PER_MINUTE
+
+Array = NDArray[np.float64]
+
+#: Median and standard deviation of the logarithm of kinetics before any data: wide enough for any tracer of the brain,
+#: and declared in every report, since it makes some gaps visible that would else hide behind impossible rates.
+PRIOR = {"K1": (0.2, 0.6), "k2": (0.12, 0.8), "k3": (0.04, 0.9), "k4": (0.03, 0.8), "vB": (0.05, 0.5), "Kb": (0.2, 0.7)}
+#: Two starts of k2, 1/min.
+_STARTS = (0.06, 0.2)
+_LOG_STEP = 1e-4
+#: Shared parameters that an included effect adds: step in its unit.
+_SHARED_STEP = 1e-3
+#: Floor of a frame's expected value, as a share of the region's highest.
+_FLOOR = 0.02
+#: Rates of the dictionary for the noise floor, 1/min.
+_LADDER = np.concatenate([[0.0], np.geomspace(1e-3, 6.0, 27)])
+#: Effects that a region has for itself where the simulator includes them.
+_OWN = {"blood_volume": "vB", "vascular_trapping": "Kb"}
+#: Relative error of predictions: of the table of responses, and of blood read as straight lines between samples.
+_ACCURACY = 5e-4
+#: Onsets tried: so many for the scanner, so many for the tissue.
+_SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
+#: Onsets before this (min) would be told from blood and its delay by their timing alone.
+_BOLUS_PASSED = 5.0
+
+
+@dataclass(frozen=True)
+class RegionalSimulator:
+    """The tissue model with the effects that it includes.
+
+    Args:
+        channels: regions.
+        label: tissue model.
+        input: blood record.
+        clock: frames.
+        includes: effects that are refitted with the kinetics.
+        nodes: times at which the input is read, min.
+    """
+
+    channels: tuple[str, ...]
+    label: str
+    input: InputFunction
+    clock: FrameObservation
+    includes: tuple[Effect, ...]
+    nodes: Array
+    _seen: dict[Any, Tabulated] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def times(self) -> Array:
+        return np.maximum(self.clock.frames.mid, 0.0)
+
+    @property
+    def accuracy(self) -> float:
+        return _ACCURACY
+
+    @property
+    def own(self) -> Coordinates:
+        symbols = (*compartment_model(self.label).parameters.symbols[:-1], *self._own_effects)
+        mean, sd = (np.array([PRIOR[s][i] for s in symbols]) for i in (0, 1))
+        return Coordinates(symbols, np.log(mean), sd, np.full(len(symbols), _LOG_STEP))
+
+    @property
+    def _own_effects(self) -> tuple[str, ...]:
+        return tuple(_OWN[e.name] for e in self.includes if e.name in _OWN)
+
+    @property
+    def _shared_effects(self) -> tuple[Effect, ...]:
+        return tuple(e for e in self.includes if e.name not in _OWN and not e.flag)
+
+    @property
+    def shared(self) -> Coordinates:
+        """Amplitudes of included effects in widths of their plausible range, which is their prior."""
+        count = len(self._shared_effects)
+        symbols = tuple(e.name for e in self._shared_effects)
+        return Coordinates(symbols, np.zeros(count), np.ones(count), np.full(count, _SHARED_STEP))
+
+    @property
+    def starts(self) -> tuple[Array, ...]:
+        own = np.tile(self.own.mean, (len(self.channels), 1))
+        found = []
+        for k2 in _STARTS:
+            start = own.copy()
+            start[:, 1] = np.log(k2)
+            found.append(start)
+        return tuple(found)
+
+    def predict(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+        model = self.model(own, shared, terms)
+        return model.values(self._responses(model, shared, terms))
+
+    def model(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> ForwardModel:
+        """The forward model at a point."""
+        values = dict(zip(self.own.symbols, np.moveaxis(np.exp(np.clip(own, -12.0, 4.0)), -1, 0)))
+        kinetics = compartment_model(self.label).parameters.symbols[:-1]
+        nothing = np.zeros(own.shape[:-1])
+        model = ForwardModel(
+            regions=self.channels,
+            input=self.input,
+            vascular=Vessels(np.minimum(values.get("vB", nothing), 0.9), values.get("Kb", 0.0)),
+            tissue=Tissue(self.label, {symbol: values[symbol] for symbol in kinetics}),
+            imaging=Camera(),
+            clock=self.clock,
+            noise=CountingNoise(0.0),
+        )
+        for effect in self.includes:
+            if effect.flag:
+                model = effect.inject(model)
+        for effect, amount in zip(self._shared_effects, shared):
+            model = effect.inject(model, {effect.amplitude.symbol: amount * width(effect)})
+        for term in terms:
+            model = self._with(model, term)
+        return model
+
+    def _with(self, model: ForwardModel, term: Term) -> ForwardModel:
+        effect = effect_of(term.hypothesis)
+        return effect.inject(model, {effect.amplitude.symbol: term.amplitude, **term.setting})
+
+    def _responses(self, model: ForwardModel, shared: Array, terms: tuple[Term, ...]) -> Tabulated:
+        """A table of the model's input and clock, kept while neither changes."""
+        moving = [t for t in terms if t.hypothesis.stage in ("input", "clock")]
+        key = (shared.tobytes(), tuple((t.hypothesis.name, repr(t.amplitude), repr(t.setting)) for t in moving))
+        if key not in self._seen:
+            if len(self._seen) > 64:
+                self._seen.clear()
+            self._seen[key] = Tabulated(model.input, model.clock, self.nodes)
+        return self._seen[key]
+
+    def spread(self, values: Array) -> Array:
+        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value that is corrected for decay."""
+        level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
+        return np.sqrt(level / self.clock.mean_decay_times_duration.numpy())
+
+    def flexible(self, shared: Array) -> Array:
+        """Responses to a ladder of rates, blood, and what blood leaves behind."""
+        own = np.tile(self.own.mean, (len(self.channels), 1))
+        seen = self._responses(self.model(own, shared), shared, ())
+        return np.concatenate([seen.plasma(_LADDER), seen.blood[None], seen.blood_area[None]])
+
+
+def width(effect: Effect) -> float:
+    """The larger end of an effect's plausible range."""
+    return max(abs(effect.amplitude.lower), abs(effect.amplitude.upper))
+
+
+def effect_of(hypothesis: Hypothesis) -> Effect:
+    from petkin.effects import effect_named
+
+    return effect_named(hypothesis.name)
+
+
+def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
+    """An effect as a hypothesis about this simulator."""
+    amplitude = effect.amplitude
+    shapes = tuple(
+        Shape(p.symbol, p.lower, p.upper, p.symbol in effect.regional)
+        for p in effect.parameters
+        if p.symbol in effect.grid
+    )
+    return Hypothesis(
+        name=effect.name,
+        stage=effect.stage,
+        symbol=amplitude.symbol,
+        unit={"min^-1": "1/min"}.get(amplitude.unit, amplitude.unit),
+        lower=amplitude.lower,
+        upper=amplitude.upper,
+        settings=_settings(effect, simulator.clock),
+        shapes=shapes,
+        by_channel=bool(effect.regional),
+        flag=effect.flag,
+        split_by=effect.split_by,
+    )
+
+
+def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float], ...]:
+    found: list[dict[str, float]] = [{}]
+    for parameter in effect.parameters.members[1:]:
+        values = effect.grid.get(parameter.symbol, ())
+        if parameter.symbol == "onset":
+            values = _onsets(clock, _TISSUE_ONSETS if effect.stage == "tissue" else _SCANNER_ONSETS)
+        elif parameter.symbol == "frame":
+            values = tuple(float(k) for k in range(len(clock.frames)))
+        if values:
+            found = [{**setting, parameter.symbol: float(v)} for setting in found for v in values]
+    return tuple(found)
+
+
+def _onsets(clock: FrameObservation, most: int) -> tuple[float, ...]:
+    """Starts and middles of frames after the bolus has passed, without the last, thinned to so many."""
+    frames = clock.frames
+    times = np.sort(np.concatenate([frames.start[1:], frames.mid[1:-1]]))
+    times = times[times > min(_BOLUS_PASSED, 0.1 * frames.end[-1])]
+    return tuple(times[np.unique(np.linspace(0, times.size - 1, min(most, times.size)).round().astype(int))])
+
+
+def hypotheses(
+    candidates: Sequence[Effect], simulator: RegionalSimulator, *, without: frozenset[str]
+) -> tuple[Hypothesis, ...]:
+    """All effects that may be missing: not included, not withheld, and possible for this simulator."""
+    model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
+    known = {e.name for e in simulator.includes} | without
+    return tuple(hypothesis_of(e, simulator) for e in candidates if e.name not in known and e.suits(model))
+
+
+def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0) -> Array:
+    """Times at which an input is read: its own knots, and 1 s early to 30 s late."""
+    steps = ((3.0, arrival_step), (10.0, 5.0), (end + 2.0, 30.0))
+    start, parts = 0.0, [np.zeros(1)]
+    for stop, step_s in steps:
+        parts.append(np.arange(start, max(stop, start), step_s / SECONDS_PER_MINUTE))
+        start = max(stop, start)
+    knots = [f.knots.numpy() for f in (arterial.plasma, arterial.whole_blood)]
+    nodes = np.unique(np.concatenate([*parts, *knots, [end + 2.0]]).round(9))
+    return nodes[(nodes >= 0) & (nodes <= end + 2.0)].astype(np.float64)
+
+
+def read_at(arterial: InputFunction, nodes: Array) -> InputFunction:
+    """The input as straight lines between nodes."""
+    import torch
+
+    from petkin.dynamics import Forcing, PiecewiseLinear
+
+    times = torch.from_numpy(nodes)
+
+    def lines(curve: Forcing | None) -> PiecewiseLinear | None:
+        return None if curve is None else PiecewiseLinear(times, curve(times))
+
+    plasma = lines(arterial.plasma)
+    blood = plasma if arterial.whole_blood is arterial.plasma else lines(arterial.whole_blood)
+    assert plasma is not None
+    assert blood is not None
+    return replace(
+        arterial,
+        plasma=plasma,
+        whole_blood=blood,
+        total_plasma=lines(arterial.total_plasma),
+        parent_fraction=lines(arterial.parent_fraction),
+    )

@@ -1,0 +1,74 @@
+"""What a user asks of `petkin diagnose`, checked at the border."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from petkin.effects import EFFECTS, Effect, effect_named
+from petkin.errors import InputError
+from petkin.kinetics import MODELS, CompartmentModel
+
+#: Effects that can be included or taken out.
+NAMES = tuple(effect.name for effect in EFFECTS)
+#: What a simulator of this name has in it already.
+_IMPLIED = {"2TCM": "second_tissue", "2TCM3k": "second_tissue"}
+
+
+@dataclass(frozen=True)
+class DiagnoseRequest:
+    """One call of `petkin diagnose`.
+
+    Args:
+        target: a PET-BIDS study.
+        model: tissue model of the simulator, in any case.
+        include: effects that the simulator has.
+        without: effects taken out of the candidates.
+        subjects, sessions: labels; empty for all.
+        seg: which segmentation or table of curves.
+        out: folder for the results; None: `derivatives/petkin` of the study.
+        seed: of the draws of noise.
+        command_line: what was typed.
+    """
+
+    target: Path
+    model: str = "2TCM"
+    include: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    subjects: tuple[str, ...] = ()
+    sessions: tuple[str, ...] = ()
+    seg: str | None = None
+    out: Path | None = None
+    seed: int = 0
+    command_line: str = ""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"--seed {self.seed}: give 0 or more.")
+        for option, names in (("--include", self.include), ("--without", self.without)):
+            for name in names:
+                if name not in NAMES:
+                    raise InputError(f"{option} {name!r}: there is no such effect; choose one of {', '.join(NAMES)}.")
+        both = sorted(set(self.include) & set(self.without))
+        if both:
+            raise InputError(f"{both[0]} is given to --include and to --without; it is in the simulator or it is not.")
+        implied = _IMPLIED.get(self.compartments.label)
+        if implied in self.include:
+            raise InputError(f"--include {implied}: model {self.compartments.label} has it already; use --model 1tcm.")
+
+    @property
+    def compartments(self) -> CompartmentModel:
+        """The tissue model.
+
+        Raises:
+            InputError: no such model.
+        """
+        for model in MODELS:
+            if model.label.lower() == self.model.lower():
+                return model
+        labels = ", ".join(m.label for m in MODELS)
+        raise InputError(f"--model {self.model!r}: a simulator needs a compartment model: {labels}.")
+
+    @property
+    def included(self) -> tuple[Effect, ...]:
+        return tuple(effect_named(name) for name in dict.fromkeys(self.include))

@@ -1,0 +1,130 @@
+"""The pieces: whitening, floors, projection, evidence, closure, sets; each against its own definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
+
+from petkin.diagnosis import evidence
+from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
+from petkin.diagnosis.noise import Noise, common_share, from_flexible, outlying, second_differences
+from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.sets import probabilities, smallest_set
+from petkin.diagnosis.where import benjamini_hochberg
+
+
+@given(share=st.floats(0.0, 0.89), count=st.integers(1, 8))
+@settings(max_examples=20, deadline=None)
+def test_whitening_undoes_the_common_share(share: float, count: int) -> None:
+    covariance = (1 - share) * np.eye(count) + share
+    mixing = Noise(np.ones((count, 3)), np.ones(count), share).mixing
+    np.testing.assert_allclose(mixing @ covariance @ mixing.T, np.eye(count), atol=1e-10)
+
+
+def test_common_share_is_recovered() -> None:
+    rng = np.random.default_rng(0)
+    for share in (0.0, 0.3, 0.6):
+        r = np.sqrt(1 - share) * rng.standard_normal((5, 4000)) + np.sqrt(share) * rng.standard_normal(4000)
+        assert float(common_share(r)) == pytest.approx(share, abs=0.04)
+
+
+def test_second_differences_see_noise_through_drifts_and_steps() -> None:
+    rng = np.random.default_rng(1)
+    k = np.arange(400)
+    noise = rng.standard_normal((1, 400))
+    with_gap = noise + 0.05 * k + 30.0 * (k > 200) + 20 * np.sin(k / 100.0)
+    assert np.sqrt((second_differences(noise) ** 2).mean()) == pytest.approx(1.0, abs=0.12)
+    assert np.sqrt((second_differences(with_gap) ** 2).mean()) == pytest.approx(1.0, abs=0.12)
+
+
+def test_flexible_fit_counts_what_it_took() -> None:
+    t = np.linspace(0, 5, 60)
+    dictionary = np.exp(-np.array([0.1, 0.5, 2.0])[:, None] * t)
+    curves = np.stack([2 * dictionary[0] + dictionary[2], dictionary[1]])
+    residuals, freedom, bases = from_flexible(curves, np.ones_like(curves), dictionary)
+    np.testing.assert_allclose(residuals, 0, atol=1e-9)
+    assert freedom.tolist() == [60 - b.shape[1] for b in bases]
+
+
+def test_one_wild_value_is_set_aside_and_a_wild_sample_is_not() -> None:
+    r = np.random.default_rng(2).standard_normal((5, 40))
+    r[2, 7] = 25.0
+    r[:, 20] += 25.0
+    factor = outlying(r)
+    assert factor[2, 7] > 4
+    assert (factor[:, 20] < 2).all()
+    assert (outlying(r[:2]) == 1).all()
+
+
+def test_projection_is_the_refit() -> None:
+    rng = np.random.default_rng(3)
+    J, g, penalty = rng.standard_normal((40, 6)), rng.standard_normal((40, 2)), rng.uniform(0.1, 2.0, 6)
+    plain = np.eye(40) - J @ np.linalg.solve(J.T @ J + np.diag(penalty), J.T)
+    projection = Projection.of(J, penalty)
+    np.testing.assert_allclose(projection.inner(g, g), g.T @ plain @ g, rtol=1e-10)
+    np.testing.assert_allclose(projection.norms(g), np.sqrt(np.diag(g.T @ plain @ g)), rtol=1e-10)
+    assert float(Projection.of(J, np.full(6, 1e-14)).norms(J[:, :1])[0]) < 1e-5
+
+
+@pytest.mark.parametrize("t", [-1.0, 0.0, 2.0, 6.0, 15.0])
+def test_evidence_is_the_average_over_log_uniform_sizes(t: float) -> None:
+    def average(sign: float) -> float:
+        integrand = lambda u: np.exp(sign * np.exp(u) * t - np.exp(2 * u) / 2 - 0.5 * t**2)  # noqa: E731
+        low, high = np.log(0.8), np.log(80.0)
+        return quad(integrand, low, high, points=[np.log(max(abs(t), 1.0))], limit=200)[0] / (high - low)
+
+    assert float(evidence.one_sided(np.array(t))) == pytest.approx(0.5 * t**2 + np.log(average(1.0)), abs=0.03)
+    both = 0.5 * (average(1.0) + average(-1.0))
+    assert float(evidence.two_sided(np.array(t))) == pytest.approx(0.5 * t**2 + np.log(both), abs=0.03)
+
+
+def test_evidence_of_many_amplitudes_is_a_ratio_of_normals() -> None:
+    rng = np.random.default_rng(4)
+    G, y = rng.standard_normal((12, 3)), rng.standard_normal(12) * 2
+    information = G.T @ G
+    size = np.linalg.eigvalsh(information).mean()
+    ratios = []
+    for width in evidence._WIDTHS:
+        covariance = np.eye(12) + width**2 / size * G @ G.T
+        ratios.append(multivariate_normal(cov=covariance).logpdf(y) - multivariate_normal(cov=np.eye(12)).logpdf(y))
+    expected = np.logaddexp.reduce(ratios) - np.log(len(ratios))
+    assert float(evidence.spread(G.T @ y, information)) == pytest.approx(float(expected), rel=1e-9)
+
+
+def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
+    rng = np.random.default_rng(5)
+    draws = noise_draws(rng, 300, (5, 36), 0.4, np.inf, [np.zeros((36, 0))] * 5)
+    assert draws.shape == (300, 180)
+    assert float((draws**2).mean()) == pytest.approx(1.0, abs=0.06)
+
+
+def test_tails_are_told_apart() -> None:
+    rng = np.random.default_rng(6)
+    assert tail_freedom(rng.standard_normal(3000)) > 20
+    assert tail_freedom(rng.standard_t(5, 3000)) < 20
+
+
+def test_p_value_counts_the_data_themselves() -> None:
+    assert p_value(10.0, np.zeros(99)) == pytest.approx(0.01)
+    assert p_value(-1.0, np.zeros(99)) == 1.0
+
+
+def test_probabilities_sum_to_one_and_follow_evidence() -> None:
+    named, unknown = probabilities({"a": 10.0, "b": 4.0}, 0.0)
+    assert sum(named.values()) + unknown == pytest.approx(1.0)
+    assert named["a"] > named["b"] > unknown
+
+
+def test_a_set_reaches_its_mass_and_takes_doubles_in() -> None:
+    probability = {"a": 0.85, "b": 0.08, "c": 0.05, "d": 0.02}
+    assert smallest_set(probability, {}) == ("a", "b")
+    assert smallest_set({"a": 0.95, "b": 0.01}, {}) == ("a",)
+    assert smallest_set({"a": 0.95, "b": 0.01}, {frozenset("ab"): 0.97}) == ("a", "b")
+
+
+def test_benjamini_hochberg_by_hand() -> None:
+    np.testing.assert_allclose(benjamini_hochberg(np.array([0.01, 0.04, 0.03, 0.5])), [0.04, 0.16 / 3, 0.16 / 3, 0.5])

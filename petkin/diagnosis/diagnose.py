@@ -20,12 +20,12 @@ from petkin.diagnosis.where import Place, over
 from petkin.diagnosis.which import (
     Candidate,
     Scan,
-    amplitude_columns,
+    columns_of,
     pairs,
     refitted,
     singles,
     smooth_columns,
-    starts,
+    start,
     templates,
 )
 
@@ -180,7 +180,7 @@ def diagnose(
     progress("refitting the likely ones", 0.4)
     ranked, noise, base, scan = _ranked(simulator, data, noise, base, scan, hypotheses, always)
     progress("weighing", 0.8)
-    unknown_evidence = _unknown_beside(simulator, noise, scan, base, ranked)
+    unknown_evidence = float(scan.unknown(base.residual)) + _UNKNOWN
     return _verdict(simulator, data, noise, base, scan, ranked, unknown_evidence, hypotheses, p, drawn, rng)
 
 
@@ -246,17 +246,6 @@ def _ranked(
             found = singles(simulator, data, noise, base, scan, always)
     double = pairs(simulator, data, noise, base, scan, found) if found[0].log_evidence > 1.0 else []
     return sorted([*found, *double], key=lambda c: -c.log_evidence), noise, base, scan
-
-
-def _unknown_beside(simulator: Simulator, noise: Noise, scan: Scan, base: Fit, ranked: Sequence[Candidate]) -> float:
-    """Evidence of a smooth discrepancy alone, or beside the best explanation, which it must then outdo."""
-    alone = float(scan.unknown(base.residual))
-    leader = ranked[0]
-    if leader.fit is None:
-        return alone + _UNKNOWN
-    left = Scan(scan.templates[:1], Projection.of_fit(leader.fit), smooth_columns(noise, leader.fit, simulator.times))
-    beside = leader.log_evidence + float(left.unknown(leader.fit.residual))
-    return max(alone, beside) + _UNKNOWN
 
 
 def _verdict(
@@ -329,7 +318,9 @@ def _with_fit(
     simulator: Simulator, data: Array, noise: Noise, base: Fit, scan: Scan, candidate: Candidate
 ) -> Candidate:
     """A candidate that only the scan has judged, with a refit for its estimates; its evidence stays."""
-    fitted = refitted(simulator, data, noise, base, starts(scan, scan.each(base.residual), candidate.names))
+    each = scan.each(base.residual)
+    terms = tuple(start(scan, base.residual, each, name) for name in candidate.names)
+    fitted = refitted(simulator, data, noise, base, terms)
     return replace(candidate, fit=fitted.fit, terms=fitted.terms, gain=fitted.gain)
 
 
@@ -348,15 +339,15 @@ def _estimates(candidate: Candidate, simulator: Simulator, base: Fit) -> tuple[E
     known = len(base.state.terms)
     covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    places = amplitude_columns(fit, len(simulator.channels), known)
     found: list[Estimate] = []
-    for term, place in zip(fit.state.terms[known:], places):
-        found.append(_amplitude(term, error[place]))
-        for symbol, value in term.setting.items():
-            if symbol in ("onset", "frame"):
-                found.append(
-                    Estimate(symbol, {"onset": "min"}.get(symbol, "1"), float(value), float(value), float(value))
-                )
+    for term, place in zip(fit.state.terms[known:], columns_of(fit, len(simulator.channels), known)):
+        found.append(_amplitude(term, error[place[""]] if "" in place else np.zeros(0)))
+        if "onset" in term.setting:
+            width = _Z90 * float(error[place["onset"]][0]) if "onset" in place else 0.0
+            onset = float(term.setting["onset"])
+            found.append(Estimate("onset", "min", onset, max(onset - width, 0.0), onset + width))
+        if "frame" in term.setting:
+            found.append(Estimate("frame", "1", *(3 * [float(term.setting["frame"])])))
     return tuple(found)
 
 
@@ -384,7 +375,7 @@ def _regions(leader: Candidate, found: Place, base: Fit, simulator: Simulator) -
     known = len(base.state.terms)
     if fit is None or len(leader.terms) != 1 or not leader.terms[0].hypothesis.by_channel:
         return found
-    (place,) = amplitude_columns(fit, len(simulator.channels), known)
+    place = columns_of(fit, len(simulator.channels), known)[0][""]
     covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))
     error = np.sqrt(np.maximum(np.diag(covariance)[place], 1e-300))
     z = np.abs(np.asarray(leader.terms[0].amplitude)) / error

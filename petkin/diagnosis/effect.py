@@ -18,12 +18,20 @@ _ALMOST_ALL = 0.95
 
 @dataclass(frozen=True)
 class Shape:
-    """A parameter of a hypothesis that is fitted beside its amplitude, on a log scale."""
+    """A parameter of a hypothesis that is fitted beside its amplitude, on a log scale.
+
+    Args:
+        symbol: name.
+        lower, upper: where it may lie, > 0.
+        by_channel: whether it differs between channels.
+        sd: of the prior of its logarithm, about the middle of the bounds; infinite for none.
+    """
 
     symbol: str
     lower: float
     upper: float
     by_channel: bool = False
+    sd: float = 0.8
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 
 Array = NDArray[np.float64]
@@ -42,9 +43,7 @@ def held_out(fit: Fit, shape: tuple[int, int]) -> Array:
         fit: the fit; its whitened rows run over channels, then samples.
         shape: channels, samples.
     """
-    normal = fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty)
-    half = np.linalg.cholesky(normal)
-    lever = np.linalg.solve(half, fit.jacobian.T).T
+    lever = Projection.of_fit(fit).axes[: fit.residual.size]
     rows = np.arange(fit.residual.size).reshape(shape)
     found = []
     for samples in np.array_split(np.arange(shape[1]), _BLOCKS):

@@ -22,8 +22,6 @@ _MOST, _SETTLED = 12, 0.01
 _LONGEST, _FALLING = 40, 0.02
 #: Difference quotients take this share of an amplitude's range, and this much of the log of a shape.
 _AMPLITUDE_STEP, _SHAPE_STEP = 1e-3, 1e-3
-#: Prior of the log of a shape.
-_SHAPE_SD = 0.8
 
 
 @dataclass(frozen=True)
@@ -205,7 +203,8 @@ def penalties(simulator: Simulator, state: State) -> Array:
     found = [np.tile(simulator.own.sd**-2.0, count), simulator.shared.sd**-2.0]
     for term in state.terms:
         for part, width in parts(term, count):
-            found.append(np.full(width, _SHAPE_SD**-2.0 if part else term.hypothesis.width**-2.0))
+            sd = shape_of(term, part).sd if part else term.hypothesis.width
+            found.append(np.full(width, sd**-2.0))
     return np.concatenate(found)
 
 

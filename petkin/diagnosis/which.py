@@ -29,7 +29,7 @@ _SECOND = 6.0
 _PAIR_WITHIN = 4.0
 _MOST_OCCAM = 4.0
 #: Gain of the objective from which on a gap is so large that a refit may end in a side valley; where it begins anew.
-_BLATANT, _FAR = 400.0, 0.3
+_BLATANT, _FAR = 40.0, 0.3
 #: Iterations of a refit.
 _STEPS = 6
 
@@ -103,6 +103,12 @@ class Scan:
         """d' per unit amplitude of a template, one or one a channel."""
         return np.sqrt(np.maximum(np.diag(self._information[index]), 0.0))
 
+    def amplitude(self, index: int, residual: Array) -> Array:
+        """Linear fit of a template's amplitude to a residual, one or one a channel."""
+        information, hypothesis = self._information[index], self.templates[index].hypothesis
+        ridged = information + np.eye(len(information)) * hypothesis.width**-2.0
+        return np.linalg.solve(ridged, residual @ self.projected[:, self._places[index]])
+
     def each(self, residuals: Array) -> Array:
         """log evidence of every template for residuals (..., n): (..., templates)."""
         scores = residuals @ self.projected
@@ -153,7 +159,7 @@ def singles(
     best = by_name[order[0]]
     flags = {t.hypothesis.name for t in scan.templates if t.hypothesis.flag}
     chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > best - _WITHIN) or n in always | flags]
-    found = [refitted(simulator, data, noise, base, starts(scan, each, (name,))) for name in chosen]
+    found = [refitted(simulator, data, noise, base, (start(scan, base.residual, each, name),)) for name in chosen]
     strong = [_from_afar(simulator, data, noise, base, c) if c.names[0] in always else c for c in found]
     found = [_averaged(c, scan, each) for c in strong]
     top = max(c.log_evidence for c in found)
@@ -169,8 +175,8 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
     strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
     middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
     far = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
-    start = replace(base, state=replace(base.state, own=simulator.starts[-1]))
-    found = refitted(simulator, data, noise, base, (far,), start)
+    begin = replace(base, state=replace(base.state, own=simulator.starts[-1]))
+    found = refitted(simulator, data, noise, base, (far,), begin)
     return found if found.gain > near.gain else near
 
 
@@ -181,28 +187,35 @@ def _averaged(candidate: Candidate, scan: Scan, each: Array) -> Candidate:
     return Candidate(candidate.names, candidate.fit, candidate.log_evidence - excess, candidate.gain, candidate.terms)
 
 
-def starts(scan: Scan, each: Array, names: tuple[str, ...]) -> tuple[Term, ...]:
-    """Terms at the settings that the scan likes best."""
-    terms = []
-    for name in names:
-        places = [i for i, t in enumerate(scan.templates) if t.hypothesis.name == name]
-        best = scan.templates[max(places, key=lambda i: each[i])]
-        terms.append(_start(best))
-    return tuple(terms)
+def start(scan: Scan, residual: Array, each: Array, name: str) -> Term:
+    """A hypothesis at the setting that the scan likes best, with the amplitude of a linear fit to the residual.
+
+    Args:
+        scan: of the residual.
+        residual: whitened.
+        each: log evidence of every template.
+        name: of the hypothesis.
+    """
+    places = [i for i, t in enumerate(scan.templates) if t.hypothesis.name == name]
+    best = max(places, key=lambda i: each[i])
+    return _start(scan.templates[best], scan.amplitude(best, residual))
 
 
-def _start(template: Template) -> Term:
+def _start(template: Template, amplitude: Array) -> Term:
     hypothesis, count = template.hypothesis, template.columns.shape[1]
     local = {s.symbol: np.full(count, template.setting[s.symbol]) for s in hypothesis.shapes if s.by_channel}
-    amplitude = np.full(count, hypothesis.typical) if hypothesis.by_channel else hypothesis.typical
-    return Term(hypothesis, amplitude, {**template.setting, **local})
+    if hypothesis.flag:
+        return Term(hypothesis, 1.0, template.setting)
+    low, high = hypothesis.limits
+    inside = np.clip(amplitude, low if hypothesis.signed else min(hypothesis.typical, high), high)
+    return Term(hypothesis, inside if hypothesis.by_channel else float(inside[0]), {**template.setting, **local})
 
 
 def refitted(
-    simulator: Simulator, data: Array, noise: Noise, base: Fit, terms: tuple[Term, ...], start: Fit | None = None
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, terms: tuple[Term, ...], begin: Fit | None = None
 ) -> Candidate:
-    """Terms fitted with everything else, and their evidence."""
-    origin = (start or base).state
+    """Terms fitted with everything else, from the base fit or another, and their evidence."""
+    origin = (begin or base).state
     fit = refit(
         simulator, data, noise, State(origin.own, origin.shared, (*base.state.terms, *terms)), iterations=_STEPS
     )
@@ -216,14 +229,16 @@ def refitted(
     )
 
 
-def amplitude_columns(fit: Fit, channels: int, known: int) -> list[slice]:
-    """Where the amplitudes of the terms after the first `known` stand in the Jacobian."""
+def columns_of(fit: Fit, channels: int, known: int) -> list[dict[str, slice]]:
+    """Where the parts of the terms after the first `known` stand in the Jacobian, the amplitude under ""."""
     place, found = fit.nuisance, []
     for i, term in enumerate(fit.state.terms):
-        widths = dict(parts(term, channels))
+        mine = {}
+        for part, width in parts(term, channels):
+            mine[part] = slice(place, place + width)
+            place += width
         if i >= known:
-            found.append(slice(place, place + widths.get("", 0)))
-        place += sum(widths.values())
+            found.append(mine)
     return found
 
 
@@ -232,8 +247,8 @@ def _after_refit(base: Fit, fit: Fit, channels: int, known: int) -> float:
     gain = base.objective - fit.objective
     size = base.jacobian.shape[1]
     total = 0.5 * gain if all(t.hypothesis.flag for t in fit.state.terms[known:]) else 0.0
-    places = amplitude_columns(fit, channels, known)
-    moving = [(t, p) for t, p in zip(fit.state.terms[known:], places) if not t.hypothesis.flag]
+    places = columns_of(fit, channels, known)
+    moving = [(t, p[""]) for t, p in zip(fit.state.terms[known:], places) if not t.hypothesis.flag]
     for term, place in moving:
         total += _averaging(term, fit, place, max(gain, 0.0) / len(moving))
     volume = _log_volume(fit.jacobian[:, :size], fit.penalty[:size]) - _log_volume(base.jacobian, base.penalty)
@@ -278,7 +293,7 @@ def pairs(
             key = tuple(sorted((*leader.names, name)))
             score = leader.log_evidence + float(value)
             if key not in wanted or score > wanted[key][0]:
-                wanted[key] = (score, leader, starts(beside, each, (name,))[0])
+                wanted[key] = (score, leader, start(beside, fit.residual, each, name))
     likely = sorted(wanted.values(), key=lambda entry: -entry[0])[:_PAIRS]
     found = []
     for score, leader, term in likely:

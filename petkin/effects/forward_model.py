@@ -73,10 +73,17 @@ class Tissue:
 
 @dataclass(frozen=True)
 class Vessels:
-    """Vascular stage: vB, the share of each region that is blood (regions,), and Kb, 1/min, by which its walls trap."""
+    """Vascular stage.
+
+    Args:
+        volume: vB, the share of each region that is blood (regions,).
+        trapping: Kb, at which the walls of the vessels trap, 1/min.
+        lining: share of the region whose walls trap; None is vB.
+    """
 
     volume: Any
     trapping: Any = 0.0
+    lining: float | None = None
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,8 @@ class ForwardModel:
         vB = self.vascular.volume
         values = (1.0 - vB)[..., None] * self.tissue.values(self, seen) + vB[..., None] * seen.blood
         if np.any(self.vascular.trapping):
-            values = values + (vB * self.vascular.trapping)[..., None] * seen.blood_area
+            lining = vB if self.vascular.lining is None else 0.0 * vB + self.vascular.lining
+            values = values + (lining * self.vascular.trapping)[..., None] * seen.blood_area
         for distortion in self.imaging.distortions:
             values = distortion(values, self.clock)
         if self.noise.bias:

@@ -13,6 +13,9 @@ from petkin.effects.effect import Effect
 from petkin.effects.forward_model import ForwardModel
 from petkin.errors import InputError
 
+#: Share of vessels whose walls trap where a forward model has no blood volume.
+_USUAL_VOLUME = 0.05
+
 
 def _fill(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     volume = values["vB"]
@@ -24,11 +27,8 @@ def _fill(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
 def _trap(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     if np.min(values["Kb"]) < 0:
         raise InputError(f"vascular_trapping={values['Kb']}: a rate constant is never negative.")
-    return replace(model, vascular=replace(model.vascular, trapping=values["Kb"]))
-
-
-def _has_vessels(model: ForwardModel) -> bool:
-    return bool((model.vascular.volume > 0).all())
+    lining = None if bool((model.vascular.volume > 0).all()) else _USUAL_VOLUME
+    return replace(model, vascular=replace(model.vascular, trapping=values["Kb"], lining=lining))
 
 
 BLOOD_VOLUME_EFFECT = Effect(
@@ -50,5 +50,4 @@ VASCULAR_TRAPPING = Effect(
     source="Rizzo G et al. J Cereb Blood Flow Metab 2014;34:1060-1069, doi:10.1038/jcbfm.2014.55",
     change=_trap,
     split_by="a scan after blocking, or a longer scan",
-    suits=_has_vessels,
 )

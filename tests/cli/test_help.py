@@ -29,7 +29,7 @@ def test_help_takes_less_than_half_a_second() -> None:
     assert min(_seconds("--help") for _ in range(5)) < 0.5
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["simulate", "--help"], ["--version"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["simulate", "--help"], ["diagnose", "--help"], ["--version"]])
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
     code = f"""
 import sys
@@ -59,5 +59,5 @@ def test_every_option_is_explained(verb: str) -> None:
 
 def test_a_command_alone_shows_what_there_is(petkin_command) -> None:
     ran = petkin_command()
-    for verb in ("simulate", "fit", "tacs", "info", "demo"):
+    for verb in ("simulate", "fit", "diagnose", "tacs", "info", "demo"):
         assert verb in ran.out + ran.err

@@ -167,11 +167,14 @@ def effect_of(hypothesis: Hypothesis) -> Effect:
 def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     """An effect as a hypothesis about this simulator."""
     amplitude = effect.amplitude
-    shapes = tuple(
+    first, last = _onset_bounds(simulator.clock)
+    shapes = [
         Shape(p.symbol, p.lower, p.upper, p.symbol in effect.regional)
         for p in effect.parameters
         if p.symbol in effect.grid
-    )
+    ]
+    if "onset" in effect.parameters.symbols:
+        shapes.append(Shape("onset", first, last, sd=np.inf))
     return Hypothesis(
         name=effect.name,
         stage=effect.stage,
@@ -180,7 +183,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         lower=amplitude.lower,
         upper=amplitude.upper,
         settings=_settings(effect, simulator.clock),
-        shapes=shapes,
+        shapes=tuple(shapes),
         by_channel=bool(effect.regional),
         flag=effect.flag,
         split_by=effect.split_by,
@@ -204,8 +207,14 @@ def _onsets(clock: FrameObservation, most: int) -> tuple[float, ...]:
     """Starts and middles of frames after the bolus has passed, without the last, thinned to so many."""
     frames = clock.frames
     times = np.sort(np.concatenate([frames.start[1:], frames.mid[1:-1]]))
-    times = times[times > min(_BOLUS_PASSED, 0.1 * frames.end[-1])]
+    first, last = _onset_bounds(clock)
+    times = times[(times > first) & (times < last)]
     return tuple(times[np.unique(np.linspace(0, times.size - 1, min(most, times.size)).round().astype(int))])
+
+
+def _onset_bounds(clock: FrameObservation) -> tuple[float, float]:
+    frames = clock.frames
+    return min(_BOLUS_PASSED, 0.1 * float(frames.end[-1])), float(frames.mid[-1])
 
 
 def hypotheses(

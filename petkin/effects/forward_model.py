@@ -47,22 +47,20 @@ class Tissue:
     def values(self, model: ForwardModel, seen: Responses) -> Any:
         """Frame values of C_T (..., regions, frames)."""
         compartments = compartment_model(self.model)
-        rates = [self.rates[symbol] for symbol in compartments.parameters.symbols[:-1]]
+        rates = {symbol: self.rates[symbol] for symbol in compartments.parameters.symbols[: compartments.rates]}
         halves = [1.0 + self.spread, 1.0 - self.spread] if np.any(self.spread) else [1.0]
         total: Any = 0.0
         for half in halves:
-            spread = [rate * half if symbol in ("K1", "k2") else rate for symbol, rate in self._ordered()]
-            for phi, a in compartments.impulse(*spread):
+            mixed = [rate * half if symbol in ("K1", "k2") else rate for symbol, rate in rates.items()]
+            for phi, a in compartments.impulse(*mixed):
                 total = total + phi[..., None] * seen.plasma(a) / len(halves)
         if self.metabolite is not None:
             share, back = self.metabolite
-            total = total + (share * rates[0])[..., None] * seen.metabolites(0.0 * rates[0] + back)
+            K1 = rates["K1"]
+            total = total + (share * K1)[..., None] * seen.metabolites(0.0 * K1 + back)
         if self.course is not None:
-            total = total + alike(self._departure(model, rates), total)
+            total = total + alike(self._departure(model, list(rates.values())), total)
         return total
-
-    def _ordered(self) -> list[tuple[str, Any]]:
-        return [(s, self.rates[s]) for s in compartment_model(self.model).parameters.symbols[:-1]]
 
     def _departure(self, model: ForwardModel, rates: list[Any]) -> Any:
         plain = [np.asarray(torch.as_tensor(rate).detach()) for rate in rates]

@@ -159,7 +159,7 @@ def _curves(source: Source) -> RegionalCurves:
         return source.curves
     assert source.image is not None
     assert source.dseg is not None
-    _, curves = extract(source.image, source.frames, None, "", read_regions(source.dseg, source.image))
+    curves = extract(source.image, source.frames, read_regions(source.dseg, source.image))
     assert curves is not None
     return curves
 

@@ -12,7 +12,7 @@ from petkin import __version__
 from petkin.diagnosis import Cause, Diagnosis, State, Visible, indistinct
 from petkin.effects import effect_named
 from petkin.kinetics import compartment_model
-from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
 from petkin.units import SECONDS_PER_MINUTE
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ def cannot_tell(visible: tuple[Visible, ...], simulator: RegionalSimulator) -> l
 
 def _bias(entry: Visible, simulator: RegionalSimulator) -> dict[str, float]:
     """Largest relative change over regions of K1 and VT when the effect is there and left out."""
-    count = len(compartment_model(simulator.label).parameters) - 1
+    count = compartment_model(simulator.label).rates
     own = entry.own
     before = _quantities(simulator.label, np.exp(own[:, :count]))
     after = _quantities(simulator.label, np.exp(own[:, :count] + np.clip(entry.shift[:, :count], -2.0, 2.0)))
@@ -212,7 +212,7 @@ def _parameters(found: Diagnosis, simulator: RegionalSimulator) -> list[dict[str
 
 def _of_state(simulator: RegionalSimulator, state: State) -> dict[str, Array]:
     tissue = simulator.model(state.own, state.shared, state.terms).tissue
-    symbols = compartment_model(tissue.model).parameters.symbols[:-1]
+    symbols = kinetics(tissue.model)
     return _quantities(tissue.model, np.stack([np.asarray(tissue.rates[s]) for s in symbols], axis=-1))
 
 

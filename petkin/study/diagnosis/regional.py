@@ -71,7 +71,7 @@ class RegionalSimulator:
 
     @property
     def own(self) -> Coordinates:
-        symbols = (*compartment_model(self.label).parameters.symbols[:-1], *self._own_effects)
+        symbols = (*kinetics(self.label), *self._own_effects)
         mean, sd = (np.array([PRIOR[s][i] for s in symbols]) for i in (0, 1))
         return Coordinates(symbols, np.log(mean), sd, np.full(len(symbols), _LOG_STEP))
 
@@ -107,13 +107,12 @@ class RegionalSimulator:
     def model(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> ForwardModel:
         """The forward model at a point."""
         values = dict(zip(self.own.symbols, np.moveaxis(np.exp(np.clip(own, -12.0, 4.0)), -1, 0)))
-        kinetics = compartment_model(self.label).parameters.symbols[:-1]
         nothing = np.zeros(own.shape[:-1])
         model = ForwardModel(
             regions=self.channels,
             input=self.input,
             vascular=Vessels(np.minimum(values.get("vB", nothing), 0.9), values.get("Kb", 0.0)),
-            tissue=Tissue(self.label, {symbol: values[symbol] for symbol in kinetics}),
+            tissue=Tissue(self.label, {symbol: values[symbol] for symbol in kinetics(self.label)}),
             imaging=Camera(),
             clock=self.clock,
             noise=CountingNoise(0.0),
@@ -151,6 +150,12 @@ class RegionalSimulator:
         own = np.tile(self.own.mean, (len(self.channels), 1))
         seen = self._responses(self.model(own, shared), shared, ())
         return np.concatenate([seen.plasma(_LADDER), seen.blood[None], seen.blood_area[None]])
+
+
+def kinetics(label: str) -> tuple[str, ...]:
+    """Symbols of a tissue model's rate constants."""
+    model = compartment_model(label)
+    return model.parameters.symbols[: model.rates]
 
 
 def width(effect: Effect) -> float:

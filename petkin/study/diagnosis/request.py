@@ -58,15 +58,16 @@ class DiagnoseRequest:
 
     @property
     def compartments(self) -> CompartmentModel:
-        """The tissue model.
+        """The tissue model; what vessel walls trap is an effect to include, not a model.
 
         Raises:
             InputError: no such model.
         """
-        for model in MODELS:
+        plain = [model for model in MODELS if not model.wall]
+        for model in plain:
             if model.label.lower() == self.model.lower():
                 return model
-        labels = ", ".join(m.label for m in MODELS)
+        labels = ", ".join(m.label for m in plain)
         raise InputError(f"--model {self.model!r}: a simulator needs a compartment model: {labels}.")
 
     @property

@@ -6,6 +6,7 @@ from petkin.fitting.given import Given, Need, ReferenceCurve
 from petkin.fitting.nonlinear import NonlinearSettings, fit_curves
 from petkin.fitting.results import Estimate, FitResult, Plot, Status, undetermined
 from petkin.fitting.search import REGIONS, VOXELS, Effort
+from petkin.fitting.shared import fit_shared
 from petkin.fitting.weights import counting_weights
 
 __all__ = [
@@ -25,5 +26,6 @@ __all__ = [
     "counting_weights",
     "estimate_delay",
     "fit_curves",
+    "fit_shared",
     "undetermined",
 ]

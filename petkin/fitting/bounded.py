@@ -79,7 +79,7 @@ def best_polish(
         jacobian: the same with their derivatives (N, R, P).
         z, sizes, tolerance: as in `fit_in_box`.
         starts: parameters (N, P) to start from, inside the box.
-        lower, upper: the box (P,).
+        lower, upper: the box (P,), or one a curve (N, P).
 
     Returns:
         parameters (N, P), costs (N,), converged (N,).
@@ -137,6 +137,7 @@ def _polish(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     theta = start.copy()
     outside = sizes - (z * z).sum(axis=0)
+    lower, upper = np.broadcast_to(lower, theta.shape), np.broadcast_to(upper, theta.shape)
     span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     cost = ((z.T - values_of(theta)) ** 2).sum(axis=1)
     damping = np.full(len(theta), 1e-3)
@@ -149,8 +150,9 @@ def _polish(
         values, jacobian = jacobian_of(here)
         residual = z.T[rows] - values
         gradient = np.einsum("nrp,nr->np", jacobian, residual)
-        held = ((here <= lower + ON_BOUND * span) & (gradient <= 0)) | (
-            (here >= upper - ON_BOUND * span) & (gradient >= 0)
+        low, high, wide = lower[rows], upper[rows], span[rows]
+        held = ((here <= low + ON_BOUND * wide) & (gradient <= 0)) | (
+            (here >= high - ON_BOUND * wide) & (gradient >= 0)
         )
         jacobian *= ~held[:, None, :]
         gradient *= ~held
@@ -161,7 +163,7 @@ def _polish(
             normal
             + np.eye(here.shape[1]) * (damping[rows, None] * scale + np.where(scale > 0, 1e-14 * safe, 1.0))[:, :, None]
         )
-        step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], lower, upper) - here
+        step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], low, high) - here
         expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
         trial_cost = ((z.T[rows] - values_of(here + step)) ** 2).sum(axis=1)
         better = trial_cost < cost[rows]

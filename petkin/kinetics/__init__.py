@@ -3,6 +3,7 @@
 from petkin.errors import InputError
 from petkin.kinetics.compartment import BLOOD_VOLUME, CompartmentModel, Macro
 from petkin.kinetics.one_tissue import ONE_TISSUE
+from petkin.kinetics.ratio import with_ratio
 from petkin.kinetics.two_tissue import TWO_TISSUE, TWO_TISSUE_TRAPPING
 from petkin.kinetics.vascular_trapping import VASCULAR_TRAPPING
 
@@ -31,4 +32,5 @@ __all__ = [
     "CompartmentModel",
     "Macro",
     "compartment_model",
+    "with_ratio",
 ]

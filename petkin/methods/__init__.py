@@ -17,6 +17,7 @@ from petkin.methods.patlak import PATLAK
 from petkin.methods.patlak_ref import PATLAK_REF
 from petkin.methods.srtm import SRTM
 from petkin.methods.srtm2 import SRTM2
+from petkin.methods.sime import SIMEVND
 from petkin.methods.suv import SUV
 from petkin.methods.suvr import SUVR
 
@@ -34,6 +35,7 @@ METHODS = (
     MRTM2,
     LOGAN_REF,
     PATLAK_REF,
+    SIMEVND,
     SUV,
     SUVR,
 )

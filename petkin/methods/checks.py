@@ -10,7 +10,7 @@ from petkin.methods.method import Method
 
 
 def check_choices(methods: tuple[Method, ...], choices: Choices) -> None:
-    """Refuse bounds or fixed values that no chosen method has, and bounds that are upside down.
+    """Refuse bounds, fixed or shared values that no chosen method has, and bounds that are upside down.
 
     Raises:
         InputError: with the symbol and what there is instead.
@@ -26,6 +26,15 @@ def check_choices(methods: tuple[Method, ...], choices: Choices) -> None:
     for symbol, value in choices.fixed.items():
         if not (np.isfinite(value) and value >= 0 and (symbol != "vB" or value < 1)):
             raise InputError(f"{symbol} cannot be fixed at {value:g}; give a value >= 0 (below 1 for vB).")
+    shareable = dict.fromkeys(symbol for method in methods for symbol in method.shareable)
+    for symbol in choices.share:
+        if symbol not in shareable:
+            labels = ", ".join(method.label for method in methods)
+            raise InputError(
+                f"{symbol!r} cannot be shared over regions by {labels}; {', '.join(shareable) or 'nothing'} can."
+            )
+    if len(choices.share) > 1:
+        raise InputError(f"--share is given {' and '.join(choices.share)}; one parameter can be shared at a time.")
     slow, fast = choices.rate_bounds
     if not 0 <= slow < fast:
         raise InputError(f"Rates from {slow:g} to {fast:g} per min are no interval; give e.g. 0.001:5.")

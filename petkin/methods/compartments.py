@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.fitting import REGIONS, VOXELS, Choices, FitResult, Given, NonlinearSettings, fit_curves
-from petkin.kinetics import CompartmentModel
+from petkin.errors import InputError
+from petkin.fitting import REGIONS, VOXELS, Choices, FitResult, Given, NonlinearSettings, fit_curves, fit_shared
+from petkin.kinetics import CompartmentModel, with_ratio
 from petkin.methods.method import Method
 
 _HOW = (
@@ -20,18 +21,18 @@ _HOW = (
 def compartments(model: CompartmentModel) -> Method:
     """The method that fits this model."""
 
+    shareable = (*model.parameters.symbols, *(m.symbol for m in model.macros if m.symbol == "VND"))
+
     def fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: bool) -> FitResult:
-        mine = model.parameters.symbols
-        box = model.parameters.with_bounds({s: b for s, b in choices.bounds.items() if s in mine})
-        box = box.with_fixed({s: v for s, v in choices.fixed.items() if s in mine})
-        settings = NonlinearSettings(
-            model,
-            parameters=box,
-            rate_bounds=choices.rate_bounds,
-            effort=VOXELS if voxels else REGIONS,
-            keep_predicted=not voxels,
-        )
-        return fit_curves(curves, given.input(model.label), given.observation, given.weights, settings)
+        arterial, seen, weights = given.input(model.label), given.observation, given.weights
+        shared = [symbol for symbol in choices.share if symbol in shareable]
+        if not shared:
+            return fit_curves(curves, arterial, seen, weights, nonlinear_settings(model, choices, voxels))
+        if voxels:
+            raise InputError(f"{shared[0]} is shared by the regions of a scan; fit voxels without --share.")
+        symbol = shared[0]
+        form = model if symbol in model.parameters.symbols else with_ratio(model)
+        return fit_shared(symbol, curves, arterial, seen, weights, nonlinear_settings(form, choices, voxels))
 
     return Method(
         label=model.label,
@@ -43,4 +44,26 @@ def compartments(model: CompartmentModel) -> Method:
         how=_HOW,
         reference=model.reference,
         comparable=True,
+        shareable=shareable,
+    )
+
+
+def nonlinear_settings(model: CompartmentModel, choices: Choices, voxels: bool) -> NonlinearSettings:
+    """What the user chose, for one model.
+
+    Raises:
+        InputError: K1 is bounded or held where VND takes its place.
+    """
+    mine = model.parameters.symbols
+    for symbol in (*choices.bounds, *choices.fixed):
+        if symbol in (m.symbol for m in model.macros):
+            raise InputError(f"{symbol} follows from others of {model.label} here and can be neither bounded nor held.")
+    box = model.parameters.with_bounds({s: b for s, b in choices.bounds.items() if s in mine})
+    box = box.with_fixed({s: v for s, v in choices.fixed.items() if s in mine})
+    return NonlinearSettings(
+        model,
+        parameters=box,
+        rate_bounds=choices.rate_bounds,
+        effort=VOXELS if voxels else REGIONS,
+        keep_predicted=not voxels,
     )

@@ -33,6 +33,7 @@ class Method:
         share: how what all curves have in common is found, from the same as `fit`, which does it itself where `Choices`
             does not fix it; None where they share nothing.
         comparable: whether its AICc is over frame values and may be compared with another's.
+        shareable: what the regions of a scan may have in common.
     """
 
     label: str
@@ -46,3 +47,4 @@ class Method:
     needs: frozenset[Need] = frozenset({Need.INPUT})
     share: Share | None = None
     comparable: bool = False
+    shareable: tuple[str, ...] = ()

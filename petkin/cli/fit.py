@@ -135,6 +135,13 @@ def fit(
         float | None,
         typer.Option(help="Point spread that --pvc corrects for, FWHM in mm.", rich_help_panel=_GEOMETRY),
     ] = None,
+    share: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="One value for all regions: a parameter (k4, VND, ...), or delay; repeatable.",
+            rich_help_panel=_MODEL,
+        ),
+    ] = None,
     delay: Annotated[
         str,
         typer.Option(help="Blood-to-brain delay: estimate (from the whole brain), or seconds.", rich_help_panel=_MODEL),
@@ -217,6 +224,22 @@ def fit(
         from petkin.study.fit import fit_study
         from petkin.study.request import FitRequest
         from petkin.study.resources import Execution
+    from petkin.cli.parsing import (
+        bounds_by_symbol,
+        delay_in_minutes,
+        dose_in_mbq,
+        interval,
+        labels,
+        memory_size,
+        numbers_by_symbol,
+        typed_command,
+    )
+    from petkin.cli.progress import progress_bar
+    from petkin.cli.tell import tell_fits
+    from petkin.fitting import Choices
+    from petkin.study.fit import fit_study
+    from petkin.study.request import DELAY, FitRequest
+    from petkin.study.resources import Execution
 
     choices = Choices(
         bounds=bounds_by_symbol(bounds or [], option="--bounds"),
@@ -224,6 +247,7 @@ def fit(
         rate_bounds=interval(rates, option="--rates"),
         t_star=minutes_or_auto(t_star, option="--t-star"),
         window=None if window is None else interval(window, option="--window"),
+        share=tuple(dict.fromkeys(s for s in share or () if s != DELAY)),
     )
     request = FitRequest(
         target=target,
@@ -242,6 +266,7 @@ def fit(
         nuclide=isotope,
         units=units,
         delay=delay_in_minutes(delay),
+        share_delay=DELAY in (share or ()),
         weights=weights,
         observation=observation,
         parent_fraction=parent_fraction,

@@ -18,6 +18,7 @@ from petkin.methods.patlak_ref import PATLAK_REF
 from petkin.methods.srtm import SRTM
 from petkin.methods.srtm2 import SRTM2
 from petkin.methods.sime import SIMEVND
+from petkin.methods.spectral import SPECTRAL
 from petkin.methods.suv import SUV
 from petkin.methods.suvr import SUVR
 
@@ -36,6 +37,7 @@ METHODS = (
     LOGAN_REF,
     PATLAK_REF,
     SIMEVND,
+    SPECTRAL,
     SUV,
     SUVR,
 )

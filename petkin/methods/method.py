@@ -34,6 +34,7 @@ class Method:
             does not fix it; None where they share nothing.
         comparable: whether its AICc is over frame values and may be compared with another's.
         shareable: what the regions of a scan may have in common.
+        regions_only: whether it fits all regions of a scan at once, and no voxels.
     """
 
     label: str
@@ -48,3 +49,4 @@ class Method:
     share: Share | None = None
     comparable: bool = False
     shareable: tuple[str, ...] = ()
+    regions_only: bool = False

@@ -35,4 +35,5 @@ SIMEVND = Method(
     "all else hold it. Regions must differ in binding, and none may lack it, for VND to be told.",
     reference="Ogden RT, Zanderigo F, Parsey RV. NeuroImage 2015;108:234-242; symbols: Innis RB et al. 2007, "
     "doi:10.1038/sj.jcbfm.9600493",
+    regions_only=True,
 )

@@ -16,6 +16,8 @@ OBSERVATIONS = ("frame", "plain", "mid")
 PARENT_FRACTIONS = ("auto", *PARENT_FRACTION_MODELS, "interpolated", "none")
 CORRECTIONS = ("gtm",)
 PLASMA_SOURCES = ("plasma", "whole_blood")
+#: What --share calls the delay of the input.
+DELAY = "delay"
 #: Longer delays (min) are times in another unit, or blood of another clock.
 _LONGEST_DELAY = 5.0
 
@@ -37,6 +39,7 @@ class FitRequest:
         nuclide: radionuclide of an image outside BIDS.
         units: activity unit of an image outside BIDS; None takes what a JSON of frames states, or else kBq/mL.
         delay: "estimate", or minutes.
+        share_delay: estimate the delay from all regions at once instead of the whole brain.
         weights: "counting", "constant", or a table with a column `weight`.
         observation: "frame" (decay-weighted mean), "plain" (time average) or "mid" (value at mid-frame).
         parent_fraction: model of the parent fraction.
@@ -68,6 +71,7 @@ class FitRequest:
     nuclide: str | None = None
     units: str | None = None
     delay: str | float = "estimate"
+    share_delay: bool = False
     weights: str = "counting"
     observation: str = "frame"
     parent_fraction: str = "auto"
@@ -101,6 +105,12 @@ class FitRequest:
         """What the models' labels stand for."""
         return tuple(find_method(label) for label in self.models)
 
+    @property
+    def shared_by_regions(self) -> str:
+        """What of the request needs all regions of a scan at once and no voxels; "" for nothing."""
+        labels = [method.label for method in self.methods if method.regions_only]
+        return next(iter((*labels, *(f"--share {symbol}" for symbol in self.choices.share))), "")
+
     def needs(self, need: Need) -> bool:
         """Whether one of the models cannot do without it."""
         return any(need in method.needs for method in self.methods)
@@ -119,6 +129,8 @@ def _check_numbers(request: FitRequest) -> None:
         raise InputError(
             f"--delay is {60 * delay:g} s; blood and brain are at most {60 * _LONGEST_DELAY:g} s apart: give seconds."
         )
+    if request.share_delay and not isinstance(delay, str):
+        raise InputError(f"The delay is given ({60 * delay:g} s) and to be shared; drop --delay or --share delay.")
     twice = sorted(set(request.choices.bounds) & set(request.choices.fixed))
     if twice:
         raise InputError(f"{twice[0]} is given to --fix and to --bounds; hold it or bound it.")

@@ -74,6 +74,8 @@ def completed(source: Source, request: FitRequest) -> Source:
         )
     if request.level == "voxel" and source.image is None:
         raise InputError(f"{label}: there is no image to fit by voxel; use --level region.")
+    if request.shared_by_regions and source.image is not None and request.level != "region":
+        raise InputError(f"{label}: {request.shared_by_regions} fits regions alone; add --level region.")
     if request.level == "region" and source.curves is None and source.dseg is None:
         raise InputError(f"{label}: regions need --dseg or --tacs; there is neither a segmentation nor curves.")
     if source.image is None and source.curves is None:

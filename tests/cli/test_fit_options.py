@@ -351,3 +351,33 @@ def test_blood_that_ends_a_little_early_is_extended(study: Path, petkin_command:
     assert "Blood ends at 2500 s, 200 s before the last frame does; the input function is extrapolated" in ran.out
     curve = pd.read_csv(study / RESULTS / "sub-01_inputfunction.tsv", sep="\t").set_index("time")
     assert 0.7 < curve["AIF"][2700] / curve["AIF"][2500] < 0.95
+
+
+def test_a_parameter_shared_by_regions(study: Path, petkin_command: Command) -> None:
+    fit(petkin_command, study, "--level", "region", "--model", "1TCM", "--share", "k2", "--delay", 0)
+    table = pd.read_csv(study / RESULTS / "sub-01_seg-atlas_model-1TCM_kinpar.tsv", sep="\t")
+    assert table["k2"].nunique() == 1
+    assert table["VT"].nunique() == 2
+    settings = json.loads((study / RESULTS / "sub-01_seg-atlas_model-1TCM_kinpar.json").read_text())["Settings"]
+    assert settings["shared"] == ["k2"]
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (("--share", "k7"), "'k7' cannot be shared over regions by 2TCM; K1, k2, k3, k4, vB, VND can."),
+        (("--share", "k2", "--share", "k4"), "--share is given k2 and k4; one parameter can be shared at a time."),
+        (("--share", "k4"), "--share k4 fits regions alone; add --level region."),
+        (("--model", "SIMEVND"), "SIMEVND fits regions alone; add --level region."),
+        (
+            ("--share", "delay", "--delay", 5),
+            "The delay is given (5 s) and to be shared; drop --delay or --share delay.",
+        ),
+    ],
+)
+def test_what_cannot_be_shared_is_told_in_a_line(
+    study: Path, petkin_command: Command, options: tuple[object, ...], line: str
+) -> None:
+    ran = petkin_command("fit", study, *options)
+    assert ran.status == 2
+    assert line in ran.err

@@ -222,24 +222,8 @@ def fit(
         from petkin.cli.tell import tell_fits
         from petkin.fitting import Choices
         from petkin.study.fit import fit_study
-        from petkin.study.request import FitRequest
+        from petkin.study.request import DELAY, FitRequest
         from petkin.study.resources import Execution
-    from petkin.cli.parsing import (
-        bounds_by_symbol,
-        delay_in_minutes,
-        dose_in_mbq,
-        interval,
-        labels,
-        memory_size,
-        numbers_by_symbol,
-        typed_command,
-    )
-    from petkin.cli.progress import progress_bar
-    from petkin.cli.tell import tell_fits
-    from petkin.fitting import Choices
-    from petkin.study.fit import fit_study
-    from petkin.study.request import DELAY, FitRequest
-    from petkin.study.resources import Execution
 
     choices = Choices(
         bounds=bounds_by_symbol(bounds or [], option="--bounds"),

@@ -1,4 +1,4 @@
-"""The time between the arrival of blood where it was sampled and in the brain, from one curve of the whole brain."""
+"""The time between the arrival of blood where it was sampled and in the brain: of one curve, or of many at once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from petkin.dynamics import Shifted
 from petkin.errors import InputError
 from petkin.fitting.search import REGIONS, search_exponentials
-from petkin.fitting.table import BasisTable, build_table, compress
+from petkin.fitting.table import BasisTable, build_table, compress, project_rows
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 from petkin.kinetics import CompartmentModel
@@ -33,7 +33,8 @@ class Delay:
         minutes: input arrives this much later in the tissue than the samples say (negative: earlier), min.
         se: its standard error from the curvature of the cost, min; NaN at an end of the span.
         at_end: whether it ran into an end of the span and is not to be trusted.
-        profile: delays tried (min) and their weighted sums of squares, ascending in delay.
+        profile: delays tried (min) and their weighted sums of squares over the noise variance, summed over the curves,
+            ascending in delay.
     """
 
     minutes: float
@@ -43,7 +44,7 @@ class Delay:
 
 
 def estimate_delay(
-    curve: Array,
+    curves: Array,
     arterial: InputFunction,
     observation: FrameObservation,
     weights: Array,
@@ -51,10 +52,12 @@ def estimate_delay(
     *,
     rate_bounds: tuple[float, float],
 ) -> Delay:
-    """The delay at which `model` with free blood volume fits one curve best; all else is refitted at every delay.
+    """The delay at which `model` with free blood volume fits best; all else is refitted at every delay.
+
+    Each of several curves counts by its own noise, taken from its best fit at any delay.
 
     Args:
-        curve: frame values of the whole brain (K,), kBq/mL.
+        curves: frame values of the whole brain (K,), or of regions (N, K), kBq/mL.
         arterial: input function as sampled.
         observation: what frames report.
         weights: frame weights (K,).
@@ -62,61 +65,66 @@ def estimate_delay(
         rate_bounds: interval of the rates, 1/min.
 
     Raises:
-        InputError: the curve holds a value that is not a number, or too few frames have weight.
+        InputError: a curve holds a value that is not a number, or too few frames have weight.
 
     Reference: Meyer E. J Nucl Med 1989;30:1069-1078 (simultaneous correction for tracer arrival delay and dispersion).
     """
     freedom = int(np.count_nonzero(weights)) - len(model.parameters) - 1
-    if not np.isfinite(curve).all() or freedom < 1:
+    curves = np.atleast_2d(curves)
+    if not np.isfinite(curves).all() or freedom < 1:
         raise InputError(
             "The whole-brain curve must hold numbers in all frames, and "
             f"{len(model.parameters) + 2} of them with weight, for its delay: check the mask, or give the delay."
         )
     centre = 0.5 * (SPAN[0] + SPAN[1])
-    tried, costs = np.empty(0), np.empty(0)
+    tried, each = np.empty(0), np.empty((0, len(curves)))
     for reach, step in _GRIDS:
         grid = centre + step * np.arange(-round(reach / step), round(reach / step) + 1)
         grid = np.asarray(np.clip(grid, *SPAN), np.float64)
         tried = np.concatenate([tried, grid])
-        costs = np.concatenate([costs, _costs(grid, curve, arterial, observation, weights, model, rate_bounds)])
-        centre = tried[np.argmin(costs)]
+        each = np.concatenate([each, _costs(grid, curves, arterial, observation, weights, model, rate_bounds)])
+        centre = tried[np.argmin(_over_noise(each, freedom))]
     tried, first = np.unique(tried, return_index=True)
-    costs = costs[first]
+    costs = _over_noise(each[first], freedom)
     best = int(np.argmin(costs))
     at_end = best in (0, len(tried) - 1)
-    return Delay(float(tried[best]), _error(tried, costs, best, freedom), at_end, (tried, costs))
+    return Delay(float(tried[best]), _error(tried, costs, best), at_end, (tried, costs))
 
 
-def _error(tried: Array, costs: Array, best: int, freedom: int) -> float:
-    """Half width of the cost at s^2 above its minimum, from the nearest points that lie higher, by a parabola."""
-    s2 = costs[best] / max(freedom, 1)
-    reached = np.flatnonzero(costs - costs[best] >= s2)
+def _over_noise(each: Array, freedom: int) -> Array:
+    """Costs (D,) from those of every curve (D, N), each over its noise variance at its own best delay."""
+    return (each * (freedom / np.maximum(each.min(axis=0), 1e-300))).sum(axis=1)
+
+
+def _error(tried: Array, costs: Array, best: int) -> float:
+    """Half width of the cost at 1 above its minimum, from the nearest points that lie higher, by a parabola."""
+    reached = np.flatnonzero(costs - costs[best] >= 1.0)
     left, right = reached[reached < best], reached[reached > best]
     if best in (0, len(tried) - 1) or left.size == 0 or right.size == 0:
         return float("nan")
-    widths = [abs(tried[i] - tried[best]) / np.sqrt((costs[i] - costs[best]) / s2) for i in (left[-1], right[0])]
+    widths = [abs(tried[i] - tried[best]) / np.sqrt(costs[i] - costs[best]) for i in (left[-1], right[0])]
     return float(np.mean(widths))
 
 
 def _costs(
     delays: Array,
-    curve: Array,
+    curves: Array,
     arterial: InputFunction,
     observation: FrameObservation,
     weights: Array,
     model: CompartmentModel,
     rate_bounds: tuple[float, float],
 ) -> Array:
+    """Least weighted sums of squares of every delay and curve (D, N)."""
     batch = torch.tensor(delays)
     late = replace(arterial, plasma=Shifted(arterial.plasma, batch), whole_blood=Shifted(arterial.whole_blood, batch))
     slow = 0.0 if model.trapping else rate_bounds[0]
     tables = build_table(late, observation, rate_bounds=(slow, rate_bounds[1]), nodes=_EFFORT.nodes)
-    size = np.array([np.sum(weights * curve**2)])
-    costs = np.empty(len(delays))
+    sizes = (weights * curves**2).sum(axis=1)
+    costs = np.empty((len(delays), len(curves)))
     for i in range(len(delays)):
         one = BasisTable(tables.u, tables.basis[:, i], tables.slope[:, i], tables.blood[i])
         packed = compress(one, weights, tolerance=1e-7)
-        costs[i] = search_exponentials(model, packed, packed.project @ curve[:, None], size, _EFFORT, blood=True).cost[
-            0
-        ]
+        z = project_rows(packed.project, curves)
+        costs[i] = search_exponentials(model, packed, z, sizes, _EFFORT, blood=True).cost
     return costs

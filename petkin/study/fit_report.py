@@ -76,7 +76,8 @@ def _chosen(fit: ScanFit, request: FitRequest) -> list[str]:
     elif fit.delay is None or fit.delay.at_end:
         delay = "Delay of the input: none, because it could not be estimated."
     else:
-        delay = "Delay of the input: where a compartment model with free blood volume fits the whole-brain curve best."
+        seen = "all regions at once" if request.share_delay else "the whole-brain curve"
+        delay = f"Delay of the input: where a compartment model with free blood volume fits {seen} best."
     return [
         delay,
         *([fit.voxels.how] if fit.voxels is not None else []),

@@ -93,7 +93,7 @@ def fit_scan(
     whole = whole_brain(voxels, curves)
     weights, how = frame_weights(whole, source, request)
     progress("delay", 0.3)
-    delay, applied, doubt = shared_delay(whole, arterial, observation, weights, request)
+    delay, applied, doubt = shared_delay(whole, arterial, observation, weights, request, curves)
     arrived = None if arterial is None else arterial.delayed(applied[0])
     given = Given(observation, weights, arrived, reference_curve(source, request, curves), source.suv)
     # maps are not corrected, so their reference is not either

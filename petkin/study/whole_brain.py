@@ -71,6 +71,7 @@ def shared_delay(
     observation: FrameObservation,
     weights: NDArray[np.float64],
     request: FitRequest,
+    curves: RegionalCurves | None = None,
 ) -> tuple[Delay | None, tuple[float, float], str]:
     """The estimate, if one was asked for; the delay to apply (min) with its error; and a warning, or "".
 
@@ -88,7 +89,8 @@ def shared_delay(
             f"{observation.frames.where}: {counted} frames with weight are too few to estimate the delay between blood "
             "and brain; give --delay 0, or more frames."
         )
-    found = estimate_delay(whole, arterial, observation, weights, model, rate_bounds=request.choices.rate_bounds)
+    seen = _regions(curves, observation) if request.share_delay else whole
+    found = estimate_delay(seen, arterial, observation, weights, model, rate_bounds=request.choices.rate_bounds)
     if not found.at_end:
         return found, (found.minutes, found.se), ""
     text = (
@@ -96,3 +98,11 @@ def shared_delay(
         "the span): none was applied; check the blood's time zero, or give --delay."
     )
     return found, (0.0, float("nan")), text
+
+
+def _regions(curves: RegionalCurves | None, observation: FrameObservation) -> NDArray[np.float64]:
+    """Curves of all regions that hold numbers and activity (N, K)."""
+    if curves is None:
+        raise InputError(f"{observation.frames.where}: --share delay needs regions; give --dseg or --tacs.")
+    usable = np.isfinite(curves.values).all(axis=1) & (curves.values.sum(axis=1) > 0)
+    return np.ascontiguousarray(curves.values[usable], np.float64)

@@ -381,3 +381,10 @@ def test_what_cannot_be_shared_is_told_in_a_line(
     ran = petkin_command("fit", study, *options)
     assert ran.status == 2
     assert line in ran.err
+
+
+def test_a_delay_from_all_regions(study: Path, petkin_command: Command) -> None:
+    fit(petkin_command, study, "--level", "region", "--model", "1TCM", "--share", "delay")
+    sidecar = json.loads((study / RESULTS / "sub-01_seg-atlas_model-1TCM_kinpar.json").read_text())
+    assert abs(sidecar["InputDelay"]) < 10.0
+    assert sidecar["InputDelaySE"] > 0

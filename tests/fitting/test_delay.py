@@ -73,6 +73,30 @@ def test_noisy_delays_scatter_as_their_errors_say(label):
     assert 0.005 < np.median(errors) < 0.05
 
 
+def test_regions_at_once_tell_the_delay_better_than_one_of_them():
+    """Four regions of unlike kinetics and noise: the truth within 3 errors, and a smaller error."""
+    truth = np.array(
+        [
+            [0.1, 0.12, 0.06, 0.04, 0.05],
+            [0.3, 0.3, 0.1, 0.05, 0.06],
+            [0.05, 0.1, 0.02, 0.03, 0.02],
+            [0.15, 0.2, 0.1, 0.03, 0.08],
+        ]
+    )
+    clean = frame_averages("2TCM", truth, arrival=ARRIVAL + 0.3)
+    sd = counting_sd(clean.mean(axis=0)[None], 0.03) * np.array([[1.0], [2.0], [0.7], [1.0]])
+    curves = clean + sd * np.random.default_rng(2).standard_normal(clean.shape)
+    weights = 1.0 / sd[0] ** 2
+    together, alone = (
+        estimate_delay(seen, ARTERIAL, PLAIN, weights, TWO_TISSUE, rate_bounds=RATES) for seen in (curves, curves[0])
+    )
+    assert abs(together.minutes - 0.3) < 3.0 * together.se
+    assert together.se < 0.7 * alone.se
+    scaled = estimate_delay(1e3 * curves, ARTERIAL, PLAIN, weights, TWO_TISSUE, rate_bounds=RATES)
+    assert scaled.minutes == together.minutes
+    assert scaled.se == pytest.approx(together.se, rel=1e-3)
+
+
 @pytest.mark.parametrize("delay", [-1.3, 2.0])
 def test_a_delay_beyond_the_span_is_told(delay):
     curve = frame_averages("1TCM", np.array([BRAIN["1TCM"]]), arrival=2.0 + delay)[0]

@@ -15,10 +15,10 @@ from petkin.methods.mrtm1 import MRTM1
 from petkin.methods.mrtm2 import MRTM2
 from petkin.methods.patlak import PATLAK
 from petkin.methods.patlak_ref import PATLAK_REF
-from petkin.methods.srtm import SRTM
-from petkin.methods.srtm2 import SRTM2
 from petkin.methods.sime import SIMEVND
 from petkin.methods.spectral import SPECTRAL
+from petkin.methods.srtm import SRTM
+from petkin.methods.srtm2 import SRTM2
 from petkin.methods.suv import SUV
 from petkin.methods.suvr import SUVR
 

@@ -12,7 +12,8 @@ that B and the blood span.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -64,10 +65,23 @@ def log_rate(rate: float | Array) -> float | Array:
     return np.log(np.asarray(rate) + RATE_OFFSET)
 
 
+@dataclass(frozen=True, eq=False)
+class _Itself:
+    """Something that equals itself alone, as a key."""
+
+    thing: Any
+
+    def __hash__(self) -> int:
+        return id(self.thing)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and self.thing is other.thing
+
+
 def build_table(
     arterial: InputFunction, observation: FrameObservation, *, rate_bounds: tuple[float, float], nodes: int
 ) -> BasisTable:
-    """Tabulate B(a) between two rates.
+    """Tabulate B(a) between two rates; the last few tables are kept, since a scan's voxels may come in many blocks.
 
     B is exact at the nodes. Its slopes there are those of the cubic spline whose end slopes are exact to a part in 1e8,
     and read between the nodes as well as exact ones do, at a fraction of their cost.
@@ -78,13 +92,18 @@ def build_table(
         rate_bounds: lowest and highest rate, 1/min; the lowest may be 0.
         nodes: number of nodes; 64 give 1e-6 of a curve's norm, 160 give 3e-8.
     """
+    return _built(_Itself(arterial), _Itself(observation), rate_bounds, nodes)
+
+
+@lru_cache(maxsize=4)
+def _built(arterial: _Itself, observation: _Itself, rate_bounds: tuple[float, float], nodes: int) -> BasisTable:
     u = np.linspace(float(log_rate(rate_bounds[0])), float(log_rate(rate_bounds[1])), nodes)
     beside = _STEP * np.arange(1, len(_ONE_SIDED))
     every = np.concatenate([u, u[0] + beside, u[-1] - beside])
     rates = torch.from_numpy(np.maximum(np.exp(every) - RATE_OFFSET, 0.0))
     with torch.no_grad():
-        values = observation.of_response(arterial.plasma, rates).numpy()
-        blood = observation.of_forcing(arterial.whole_blood)
+        values = observation.thing.of_response(arterial.thing.plasma, rates).numpy()
+        blood = observation.thing.of_forcing(arterial.thing.whole_blood)
     basis, above, below = np.split(values, [nodes, nodes + len(beside)])
     lowest = np.tensordot(_ONE_SIDED, np.concatenate([basis[:1], above]), 1) / _STEP
     highest = -np.tensordot(_ONE_SIDED, np.concatenate([basis[-1:], below]), 1) / _STEP

@@ -1,0 +1,62 @@
+"""`--memory` bounds what the program holds, as the system counts it, and changes no byte of the results."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import petkin
+from petkin_bench.problems import fit_problem
+from petkin_bench.whole_image import write_image
+
+_SHAPE = (128, 128, 48)
+
+
+def _fit(folder: Path, *more: str) -> tuple[int, str, float]:
+    """Run the command in a process of its own: how it ended, what it said, and the most that it held, GiB."""
+    options = {"blood": "blood.tsv", "frames": "frames.json", "mask": "mask.nii.gz", "out": "out"}
+    files = [word for option, name in options.items() for word in (f"--{option}", str(folder / name))]
+    options_of_image = ("--isotope", "F18", "--units", "kBq/mL", "--delay", "0", "--level", "voxel")
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "petkin", "fit", str(folder / "pet.nii.gz"), *files),
+            *(*options_of_image, "--model", "Patlak", "--again", *more),
+        ],
+        cwd=Path(petkin.__file__).parents[1],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    assert process.stderr is not None
+    with process.stderr:
+        said = process.stderr.read()
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, said, used.ru_maxrss / 2 ** (30 if sys.platform == "darwin" else 20)
+
+
+def test_a_limit_is_kept_and_changes_nothing(tmp_path: Path) -> None:
+    """All voxels of a fifth of a gigabyte of curves and maps, within what the program needs for a frame and a block."""
+    mask = np.ones(_SHAPE, np.bool_)
+    problem = fit_problem(voxels=2048, percent=5.0)
+    write_image(tmp_path, replace(problem, curves=np.tile(problem.curves, (mask.size // 2048, 1))), mask)
+    status, said, _ = _fit(tmp_path, "--memory", "1M")
+    assert status == 2
+    least = re.search(r"give at least (\d+\.\d\d)G", said)
+    assert least is not None
+    limit = float(least.group(1)) + 0.01
+    results = []
+    for more in ((), ("--memory", f"{limit:.3f}G")):
+        status, said, held = _fit(tmp_path, *more)
+        assert (status, said) == (0, "")
+        results.append({path.name: path.read_bytes() for path in (tmp_path / "out").rglob("*.*") if path.is_file()})
+    assert held <= limit
+    assert results[0] == results[1]
+    assert not list(tmp_path.glob(".petkin-*"))

@@ -303,6 +303,21 @@ def test_graphical_models(exact: Path, petkin_command: Command) -> None:
     assert len(list((exact / RESULTS).glob("*model-Logan_kinpar.tsv"))) == 1
 
 
+def test_multilinear_models(exact: Path, petkin_command: Command) -> None:
+    """One-tissue curves: MA1 finds their VT, models of two tissues their K1."""
+    options = ["--model", "MA1", "--model", "MA2", "--model", "LS2TCM", "--t-star", "15", "--delay", "0"]
+    fit(petkin_command, exact, *options)
+    K1, k2 = rates()
+    expected = {"MA1": ("VT", K1 / k2), "MA2": ("K1", K1), "LS2TCM": ("K1", K1)}
+    columns = {"MA1": "VT intercept", "MA2": "VT VS VND K1", "LS2TCM": "K1 k2 k3 k4 VT VB"}
+    for label, (symbol, truth) in expected.items():
+        table, sidecar = kinpar(exact, label)
+        for region, found in zip((1, 4), table[symbol], strict=True):
+            assert found == pytest.approx(truth[labels() == region].mean(), rel=0.01)
+        assert all(sidecar[column]["Units"] and f"{column}-se" in table for column in columns[label].split())
+        assert (exact / RESULTS / f"sub-01_model-{label}_meas-VT_mimap.nii.gz").exists()
+
+
 def test_the_start_of_the_linear_part_is_told_by_regions_and_passed_to_voxels(
     study: Path, petkin_command: Command
 ) -> None:

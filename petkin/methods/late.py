@@ -111,7 +111,7 @@ def _plots(
         points=tuple((name, a, b) for name, a, b in zip(names, x, y)),
         lines=tuple((name, a[used], b[used]) for name, a, b in zip(names, line_x, line_y)),
         mark=mark,
-        text=f"Points: frames; lines: the fit, over the {len(used)} frames from t* = {t_star:g} min on.",
+        text=f"Points: frames; lines: the fit, over the {len(used)} frames from t* = {t_star:.4g} min on.",
     )
     return (line,) if found is None else (line, _search(found, shown, names, outcome.symbol, outcome.unit))
 
@@ -125,7 +125,7 @@ def _search(found: TStar, shown: NDArray[np.intp], names: list[str], symbol: str
         y_label=f"{symbol} ({unit})",
         points=tuple((name, found.starts, found.outcomes[n]) for name, n in zip(names, shown)),
         mark=found.minutes,
-        text=f"t* = {found.minutes:g} min. Without the earlier half of the frames after it {symbol} of the median "
+        text=f"t* = {found.minutes:.4g} min. Without the earlier half of the frames after it {symbol} of the median "
         f"curve would change by {change:+.1f} %; its standard error is {100 * found.error[chosen]:.1f} %.",
     )
 

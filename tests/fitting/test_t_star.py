@@ -69,8 +69,8 @@ def test_the_choice_is_said_and_drawn():
     line, search = result.plots
     assert (line.title, search.title) == ("Patlak plot", "Choice of t*")
     assert search.mark == t_star
-    assert f"t* = {t_star:g} min" in line.text
-    assert f"t* = {t_star:g} min" in search.text
+    assert f"t* = {t_star:.4g} min" in line.text
+    assert f"t* = {t_star:.4g} min" in search.text
     assert len(line.points) == len(search.points) == 6
     assert [name for name, _, _ in line.points] == [name for name, _, _ in line.lines]
     again = fit("Patlak", curves, weights, t_star)

@@ -120,8 +120,10 @@ def _section(
 
 def _shared(result: FitResult | None, of: str) -> list[str]:
     """What all curves have in common, a sentence each."""
-    shared = {} if result is None else result.shared
-    return [f"{symbol} of all {of}: {value:.4g} (SE {error:.2g} %)." for symbol, (value, error) in shared.items()]
+    if result is None:
+        return []
+    named = [f"Reference region of all {of}: {result.settings['reference']}."] if "reference" in result.settings else []
+    return named + [f"{s} of all {of}: {value:.4g} (SE {error:.2g} %)." for s, (value, error) in result.shared.items()]
 
 
 def _maps(result: FitResult, fit: ScanFit) -> MapSet:

@@ -91,6 +91,7 @@ def test_kinetic_methods_of_a_study_without_blood_write_maps_tables_and_a_report
             assert written["InputValuesLabels"] == []
     page = (bloodless / OUT / "sub-01_desc-fit_report.html").read_text()
     assert "k2prime of all voxels:" in page
+    assert "Reference region of all regions: cerebellum." in page
 
 
 def test_a_shared_rate_of_voxels_does_not_depend_on_blocks(bloodless, petkin_command, tmp_path, monkeypatch):

@@ -29,7 +29,9 @@ def test_help_takes_less_than_half_a_second() -> None:
     assert min(_seconds("--help") for _ in range(5)) < 0.5
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["simulate", "--help"], ["diagnose", "--help"], ["--version"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["fit", "--help"], ["simulate", "--help"], ["diagnose", "--help"], ["--version"]]
+)
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
     code = f"""
 import sys

@@ -7,6 +7,7 @@ from petkin.methods.compartments import compartments
 from petkin.methods.frtm import FRTM
 from petkin.methods.logan import LOGAN
 from petkin.methods.logan_ref import LOGAN_REF
+from petkin.methods.lp_ntpet import LP_NTPET
 from petkin.methods.ls2tcm import LS2TCM
 from petkin.methods.ma1 import MA1
 from petkin.methods.ma2 import MA2
@@ -36,6 +37,7 @@ METHODS = (
     MRTM2,
     LOGAN_REF,
     PATLAK_REF,
+    LP_NTPET,
     SIMEVND,
     SPECTRAL,
     SUV,

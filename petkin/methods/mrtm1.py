@@ -60,11 +60,11 @@ MRTM1 = Method(
     symbols=(),
     outcome="BPND",
     equation="C_T = k2 int_0^t C_R ds - k2a int_0^t C_T ds + R1 C_R, t > t*; BPND = k2 / k2a - 1",
-    how="Weighted multilinear regression of frame values over the frames whose middle comes at or after t*, all "
-    "frames unless t* is given. Integrals are averaged over frames, by a spline through the areas at frame ends. "
-    "Standard errors: delta method, the noise that the curve's integral carries counted; the reference curve "
-    "counts as known. A region that is a multiple of the reference region's curve leaves the equation "
-    "undetermined.",
+    how="Weighted multilinear regression of frame values over the frames whose middle comes at or after t*; an "
+    "automatic t* is 0, since the equation holds from the start for one tissue compartment. Integrals are "
+    "averaged over frames, by a spline through the areas at frame ends. Standard errors: delta method, the noise "
+    "that the curve's integral carries counted; the reference curve counts as known. A region that is a multiple "
+    "of the reference region's curve leaves the equation undetermined.",
     reference="Ichise M et al. J Cereb Blood Flow Metab 2003;23:1096-1112, doi:10.1097/01.WCB.0000085441.37552.CA",
     needs=frozenset({Need.REFERENCE}),
 )

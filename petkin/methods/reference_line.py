@@ -52,7 +52,7 @@ class Line:
         response: operator of the side that they add up to.
         axes: of the plot in which it is a line, from its terms.
         one_k2prime: whether it needs the k2' of the reference region.
-        holds_early: whether t* is 0 unless it is given: the equation holds from the start for one tissue compartment.
+        holds_early: whether an automatic t* is 0: the equation holds from the start for one tissue compartment.
     """
 
     label: str

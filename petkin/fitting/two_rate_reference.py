@@ -26,7 +26,7 @@ from petkin.fitting.results import Estimate, FitResult, Status
 from petkin.fitting.search import Effort
 from petkin.fitting.sensitivity import derivatives, read_basis
 from petkin.fitting.summary import akaike
-from petkin.fitting.table import Compression
+from petkin.fitting.table import Compression, project_rows
 from petkin.kinetics import TWO_TISSUE
 
 Array = NDArray[np.float64]
@@ -164,11 +164,12 @@ def _grid_starts(packed: Compression, z: Array, box: ParameterSet, count: int) -
     rates = np.array(list(itertools.product(*levels)))
     without = curve_values(packed, np.column_stack([np.zeros(len(rates)), rates]))
     unit = curve_values(packed, np.column_stack([np.ones(len(rates)), rates])) - without
-    square = (unit**2).sum(axis=1)[:, None]
-    R1 = np.clip((unit @ z - (unit * without).sum(axis=1)[:, None]) / square, box.lower[0], box.upper[0])
+    square, both = (unit**2).sum(axis=1)[:, None], (unit * without).sum(axis=1)[:, None]
+    rows = np.ascontiguousarray(z.T)
+    along_unit, along_rest = project_rows(unit, rows), project_rows(without, rows)
+    R1 = np.clip((along_unit - both) / square, box.lower[0], box.upper[0])
     # |z - v - R1 u|^2 without what all grid points have in common
-    left = (without**2).sum(axis=1)[:, None] - 2.0 * (without @ z)
-    left += R1 * (2.0 * (unit * without).sum(axis=1)[:, None] - 2.0 * (unit @ z) + R1 * square)
+    left = (without**2).sum(axis=1)[:, None] - 2.0 * along_rest + R1 * (2.0 * (both - along_unit) + R1 * square)
     order = np.argsort(left, axis=0, kind="stable")[:count]
     columns = np.arange(z.shape[1])
     return [np.column_stack([R1[row, columns], rates[row]]) for row in order]

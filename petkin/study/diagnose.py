@@ -36,7 +36,7 @@ from petkin.study.series import extract
 from petkin.study.sources import Source
 
 #: Effects whose weak template says little of what they do at full strength: these always get a refit.
-_ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
+ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
 #: Fewer frames than this with activity cannot carry a diagnosis.
 _FEWEST_FRAMES = 10
 
@@ -61,7 +61,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
         InputError: in one line, what makes a diagnosis impossible.
     """
     progress("reading", 0.0)
-    name, out, sources = read_sources(_reading(request))
+    name, out, sources = sources_of(request)
     require_own_folder(out)
     scans = [(source, *prepared(source, request)) for source in sources]
     written = []
@@ -75,7 +75,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             simulator,
             curves.values,
             hypotheses(EFFECTS, simulator, without=frozenset(request.without)),
-            always=_ALWAYS,
+            always=ALWAYS,
             seed=request.seed,
             progress=here,
         )
@@ -102,7 +102,7 @@ def foresee_study(request: DiagnoseRequest) -> tuple[tuple[str, str], ...]:
     Raises:
         InputError: as `diagnose_study`.
     """
-    _, _, sources = read_sources(_reading(request))
+    _, _, sources = sources_of(request)
     found = []
     for source in sources:
         curves, simulator = prepared(source, request)
@@ -119,6 +119,11 @@ def design_table(visible: tuple[Visible, ...]) -> str:
         hidden = "  cannot be seen" if v.invisible else ""
         lines.append(f"  {v.hypothesis.name:24}{v.detectability:9.2f}{100 * v.kept:7.2g}%  {partners}{hidden}")
     return "\n".join(lines)
+
+
+def sources_of(request: DiagnoseRequest) -> tuple[str, Path, tuple[Source, ...]]:
+    """Name of the study, folder for its results, and the scans that the request means."""
+    return read_sources(_reading(request))
 
 
 def _reading(request: DiagnoseRequest) -> FitRequest:

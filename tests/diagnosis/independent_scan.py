@@ -97,7 +97,7 @@ def curves(truth: Truth) -> Array:
     return _scanner(_framed(t, whole, effects), effects)
 
 
-@njit(cache=True)
+@njit
 def _first_order(t: Array, u: Array, k: Array) -> Array:
     out = np.zeros((k.size, t.size))
     for i in range(1, t.size):
@@ -122,7 +122,7 @@ def _tissue(t: Array, u: Array, rates: Array, effects: dict[str, dict[str, float
     return one + two
 
 
-@njit(cache=True)
+@njit
 def _slope(when, a, b, drive, rate, course, here, filling):
     m = 1.0 + course[0] if when >= course[1] else 1.0
     x = (when - course[3]) / 12.0
@@ -133,7 +133,7 @@ def _slope(when, a, b, drive, rate, course, here, filling):
     return rate[0] * m * drive - (out + bind) * a + rate[3] * b, bind * a - rate[3] * b
 
 
-@njit(cache=True)
+@njit
 def _both(t, u, rates, course, where, filling):
     one, two = np.zeros((len(rates), t.size)), np.zeros((len(rates), t.size))
     for r in range(len(rates)):

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 #: Bias that is left, per drift that is seen: 1 for Patlak's, 1.8 for Logan's on noise-free two-tissue curves.
 _BIAS_PER_DRIFT = 2.0
+#: Share of the largest outcome below which one is rounding.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,14 @@ def find_t_star(
         result = fit_linear(curves, late, regression, settings={}, keep_predicted=False)
         outcome = result.estimates[regression.outcome]
         outcomes[i], errors[i] = outcome.value, outcome.percent_se / 100.0
-    told = np.isfinite(outcomes).all(axis=0) & (outcomes != 0.0).all(axis=0)
+    # Of a reference region against itself the outcome is zero but for rounding: it tells of no change.
+    rounding = _ROUNDING * np.abs(outcomes[np.isfinite(outcomes)]).max(initial=0.0)
+    told = (np.isfinite(outcomes) & (np.abs(outcomes) > rounding)).all(axis=0)
     if not told.any():
         raise InputError(f"{regression.label}: no curve tells where its linear part begins; give it with --t-star.")
     later = outcomes[[_half(i, len(used)) for i in candidates]]
     outcomes, errors = outcomes[: len(candidates)], errors[: len(candidates)]
-    drift = np.median((outcomes / later - 1.0)[:, told], axis=1)
+    drift = np.median(outcomes[:, told] / later[:, told] - 1.0, axis=1)
     error = np.median(errors[:, told], axis=1)
     best = int(np.argmin((_BIAS_PER_DRIFT * drift) ** 2 + error**2))
     times = frames.start[used[: len(candidates)]]

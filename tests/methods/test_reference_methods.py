@@ -280,3 +280,13 @@ def test_noise_free_benchmark_is_met_and_the_noisy_one_never_fails(shared_data, 
                 error = 100 * np.abs(result[symbol] / truth[:, column] - 1)
                 assert np.median(error) <= 0.01
                 assert np.percentile(error, 90) <= 0.05
+
+
+def test_the_reference_region_among_the_curves_does_not_move_an_automatic_start(simplified):
+    reference, values, _ = simplified
+    many, weights = noisy(values[4:6], 0.01, seed=7)
+    fixed = Choices(t_star=None, fixed={"k2prime": K2_REFERENCE})
+    alone = find_method("LoganRef").fit(many, given_for(reference, weights), fixed, False)
+    with_it = find_method("LoganRef").fit(np.vstack([many, reference]), given_for(reference, weights), fixed, False)
+    assert with_it.settings["t_star"] == alone.settings["t_star"]
+    assert with_it["BPND"][2] == pytest.approx(0.0, abs=1e-9)

@@ -33,7 +33,12 @@ def test_a_voxel_does_not_feel_what_it_is_fitted_with(method: Method, problem) -
     given = Given(problem.observation, problem.weights, problem.arterial, reference, 0.5)
     shared = method.share(curves.T, given, Choices(), True) if method.share else {}
     choices = Choices(fixed={symbol: value for symbol, (value, _) in shared.items()})
-    whole = method.fit(curves.T, given, choices, True)
+    try:
+        whole = method.fit(curves.T, given, choices, True)
+    except InputError as refused:
+        if "use --level region" not in str(refused):
+            raise
+        return
     for part in (slice(0, 7), slice(7, 40)):
         alone = method.fit(np.ascontiguousarray(curves[:, part]).T, given, choices, True)
         for mine, theirs in zip(alone.estimates, whole.estimates, strict=True):

@@ -3,8 +3,9 @@
 from petkin.fitting.choices import Choices
 from petkin.fitting.delay import Delay, estimate_delay
 from petkin.fitting.given import Given, Need, ReferenceCurve
-from petkin.fitting.nonlinear import NonlinearSettings, fit_curves
+from petkin.fitting.nonlinear import NonlinearSettings, fit_curves, tabulate
 from petkin.fitting.results import Estimate, FitResult, Plot, Status, undetermined
+from petkin.fitting.scrutiny import looked_into
 from petkin.fitting.search import REGIONS, VOXELS, Effort
 from petkin.fitting.shared import fit_shared
 from petkin.fitting.weights import counting_weights
@@ -27,5 +28,7 @@ __all__ = [
     "estimate_delay",
     "fit_curves",
     "fit_shared",
+    "looked_into",
+    "tabulate",
     "undetermined",
 ]

@@ -19,7 +19,7 @@ from petkin.fitting.results import Estimate, FitResult
 from petkin.fitting.search import REGIONS, Effort, search_among, search_tables
 from petkin.fitting.sensitivity import model_values
 from petkin.fitting.summary import Judge, Optimum
-from petkin.fitting.table import Compression, build_table, compress, project_rows
+from petkin.fitting.table import BasisTable, Compression, build_table, compress, project_rows
 from petkin.fitting.wall import WallTables, search_beside_wall, wall_tables
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
@@ -88,23 +88,33 @@ def fit_curves(
     curves = np.asarray(curves)
     weights = np.asarray(weights, np.float64)
     _check(curves, weights, observation, settings)
-    rates = _table_rates(settings)
-    table = build_table(arterial, observation, rate_bounds=rates, nodes=settings.effort.nodes)
-    tolerance = 0.0 if settings.effort.size is None else 1e-9
-    if weights.ndim == 1:
-        return _fit_shared(
-            curves, compress(table, weights, tolerance=tolerance, size=settings.effort.size), weights, settings
-        )
-    if len(curves) == 0:
-        packed = compress(table, np.ones(curves.shape[1]), tolerance=tolerance, size=settings.effort.size)
-        return replace(_fit_shared(curves, packed, np.ones(curves.shape[1]), settings), weights=weights)
-    distinct, which = np.unique(weights, axis=0, return_inverse=True)
-    parts = [
-        (np.flatnonzero(which == g), compress(table, w, tolerance=tolerance, size=settings.effort.size))
-        for g, w in enumerate(distinct)
-    ]
+    table = tabulate(arterial, observation, settings)
+    if weights.ndim == 1 or len(curves) == 0:
+        shared = weights if weights.ndim == 1 else np.ones(curves.shape[1])
+        result = _fit_shared(curves, squeeze(table, shared, settings), shared, settings)
+        return replace(result, weights=weights)
+    parts = [(rows, squeeze(table, own, settings)) for rows, own in alike(weights, len(curves))]
     results = [(rows, _fit_shared(curves[rows], packed, weights[rows[0]], settings)) for rows, packed in parts]
     return replace(_merge(results, len(curves)), weights=weights)
+
+
+def tabulate(arterial: InputFunction, observation: FrameObservation, settings: NonlinearSettings) -> BasisTable:
+    """The basis table over all rates that a fit with these settings can reach."""
+    return build_table(arterial, observation, rate_bounds=_table_rates(settings), nodes=settings.effort.nodes)
+
+
+def squeeze(table: BasisTable, weights: Array, settings: NonlinearSettings) -> Compression:
+    """The table compressed as a fit with these settings sees it; weights (K,)."""
+    tolerance = 0.0 if settings.effort.size is None else 1e-9
+    return compress(table, weights, tolerance=tolerance, size=settings.effort.size)
+
+
+def alike(weights: Array, count: int) -> list[tuple[NDArray[np.intp], Array]]:
+    """Curves that share their frame weights, and those weights (K,)."""
+    if weights.ndim == 1:
+        return [(np.arange(count), weights)]
+    distinct, which = np.unique(weights, axis=0, return_inverse=True)
+    return [(np.flatnonzero(which == g), own) for g, own in enumerate(distinct)]
 
 
 def _check(
@@ -144,7 +154,7 @@ def _fit_shared(
     """Curves that share their weights: the free optimum of all, bounded fits of those that leave the box, a summary."""
     frames = _readable(curves).T
     best = Optimum.of(len(settings.model.parameters), len(settings.model.macros), len(curves))
-    blood = _takes_blood(settings.box)
+    blood = takes_blood(settings.box)
     tables = (
         wall_tables(packed, settings.rate_bounds[0], blood=blood)
         if settings.model.wall
@@ -172,7 +182,8 @@ def _readable(curves: NDArray[np.floating]) -> NDArray[np.floating]:
     return curves if curves.flags.c_contiguous or curves.flags.f_contiguous else np.ascontiguousarray(curves)
 
 
-def _takes_blood(box: ParameterSet) -> bool:
+def takes_blood(box: ParameterSet) -> bool:
+    """Whether blood may take part in a fit."""
     vB = box["vB"]
     return vB.upper > 0 and not (vB.fixed and vB.start == 0)
 
@@ -234,13 +245,13 @@ def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: N
                 starts=starts,
                 tolerance=tolerance,
             )
-            kept = slice(None) if starts else _inside_table(theta, packed, settings)
+            kept = slice(None) if starts else inside_table(theta, packed, settings)
             here = here[kept]
             best.theta[:, here], best.converged[here] = theta[kept].T, converged[kept]
             best.cost[here] = np.maximum(cost, np.finfo(np.float64).eps * sizes[part])[kept]
 
 
-def _inside_table(theta: Array, packed: Compression, settings: NonlinearSettings) -> NDArray[np.bool_]:
+def inside_table(theta: Array, packed: Compression, settings: NonlinearSettings) -> NDArray[np.bool_]:
     """Whether all rates lie in the table: the box alone lets one slip below the slowest, where nothing is tabulated."""
     rates = np.stack([rate for _, rate in settings.model.impulse(*theta[:, : settings.model.rates].T)], axis=1)
     slowest, fastest = packed.rates[[0, -1]]

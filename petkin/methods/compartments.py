@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from petkin.errors import InputError
-from petkin.fitting import REGIONS, VOXELS, Choices, FitResult, Given, NonlinearSettings, fit_curves, fit_shared
+from petkin.fitting import (
+    REGIONS,
+    VOXELS,
+    Choices,
+    FitResult,
+    Given,
+    NonlinearSettings,
+    fit_curves,
+    fit_shared,
+    looked_into,
+    tabulate,
+)
 from petkin.kinetics import CompartmentModel, with_ratio
 from petkin.methods.method import Method
 
@@ -27,7 +40,9 @@ def compartments(model: CompartmentModel) -> Method:
         arterial, seen, weights = given.input(model.label), given.observation, given.weights
         shared = [symbol for symbol in choices.share if symbol in shareable]
         if not shared:
-            return fit_curves(curves, arterial, seen, weights, nonlinear_settings(model, choices, voxels))
+            chosen = nonlinear_settings(model, choices, voxels)
+            result = fit_curves(curves, arterial, seen, weights, chosen)
+            return result if voxels else looked_into(result, curves, tabulate(arterial, seen, chosen), chosen)
         if voxels:
             raise InputError(f"{shared[0]} is shared by the regions of a scan; fit voxels without --share.")
         symbol = shared[0]
@@ -45,6 +60,7 @@ def compartments(model: CompartmentModel) -> Method:
         reference=model.reference,
         comparable=True,
         shareable=shareable,
+        nonlinear=partial(nonlinear_settings, model),
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.fitting import Choices, FitResult, Given, Need
+from petkin.fitting import Choices, FitResult, Given, Need, NonlinearSettings
 
 #: Value and percent standard error, by symbol, of what all curves have in common.
 Share = Callable[[NDArray[np.floating], Given, Choices, bool], dict[str, tuple[float, float]]]
@@ -35,6 +35,8 @@ class Method:
         comparable: whether its AICc is over frame values and may be compared with another's.
         shareable: what the regions of a scan may have in common.
         regions_only: whether it fits all regions of a scan at once, and no voxels.
+        nonlinear: settings of its fit (choices, whether voxels), where it is a compartment model's; for what only those
+            can tell: profile likelihoods, and how far from the best of all fits a fit can be.
     """
 
     label: str
@@ -50,3 +52,4 @@ class Method:
     comparable: bool = False
     shareable: tuple[str, ...] = ()
     regions_only: bool = False
+    nonlinear: Callable[[Choices, bool], NonlinearSettings] | None = None

@@ -87,7 +87,7 @@ def test_regions_are_within_one_percent_of_the_truth(fitted: tuple[Path, Ran]) -
     truth = pd.read_csv(study / TRUTH / "sub-01_seg-phantom_model-2TCM_desc-truth_kinpar.tsv", sep="\t")
     found = pd.read_csv(study / RESULTS / "sub-01_seg-phantom_model-2TCM_kinpar.tsv", sep="\t")
     heading = ["index", "name", *(name for symbol in PARAMETERS["2TCM"] for name in (symbol, f"{symbol}-se"))]
-    assert list(found.columns) == [*heading, "chi2", "aicc", "status", "bound"]
+    assert list(found.columns) == [*heading, "chi2", "aicc", "status", "bound", "VT-second", "asymmetric", "gap"]
     assert list(found["name"]) == list(truth["name"])
     assert list(found["index"]) == list(truth["index"])
     for symbol in ("VT", "K1"):

@@ -93,6 +93,7 @@ def test_regions_carry_their_labels(exact: Path, petkin_command: Command) -> Non
     table, sidecar = kinpar(exact)
     assert list(table.columns) == [
         "index", "name", "K1", "K1-se", "k2", "k2-se", "VB", "VB-se", "VT", "VT-se", "chi2", "aicc", "status", "bound",
+        "VT-second", "asymmetric", "gap",
     ]  # fmt: skip
     assert list(table["index"]) == [1, 4]
     assert list(table["name"]) == ["cortex", "cerebellum"]

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 _INPUT, _MODEL, _OUTPUT = "What is fitted", "How it is fitted", "Where results go"
+_SURE = "How sure"
 _RUN = "How it is run (changes no result)"
 _GEOMETRY = "Noise and resolution"
 
@@ -192,6 +193,23 @@ def fit(
     again: Annotated[
         bool, typer.Option("--again", "--force", help="Fit scans again that are finished.", rich_help_panel=_RUN)
     ] = False,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Profile likelihood of REGION or REGION:SYMBOL, e.g. putamen:VT; repeatable.", rich_help_panel=_SURE
+        ),
+    ] = None,
+    bootstrap: Annotated[
+        int | None,
+        typer.Option(help="Parametric bootstrap of the regions: how many resamples.", rich_help_panel=_SURE),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the bootstrap's noise.", rich_help_panel=_SURE)] = 0,
+    certify: Annotated[
+        bool,
+        typer.Option(
+            "--certify", help="Prove of every voxel how far from the best of all fits it can be.", rich_help_panel=_SURE
+        ),
+    ] = False,
 ) -> None:
     """Fit kinetic models by voxel and by region; write maps, tables and a report.
 
@@ -216,11 +234,12 @@ def fit(
             memory_size,
             minutes_or_auto,
             numbers_by_symbol,
+            regions_and_symbols,
             typed_command,
         )
         from petkin.cli.progress import progress_bar
         from petkin.cli.tell import tell_fits
-        from petkin.fitting import Choices
+        from petkin.fitting import Choices, Resampling
         from petkin.study.fit import fit_study
         from petkin.study.request import DELAY, FitRequest
         from petkin.study.resources import Execution
@@ -232,6 +251,7 @@ def fit(
         t_star=minutes_or_auto(t_star, option="--t-star"),
         window=None if window is None else interval(window, option="--window"),
         share=tuple(dict.fromkeys(s for s in share or () if s != DELAY)),
+        certify=certify,
     )
     request = FitRequest(
         target=target,
@@ -263,6 +283,8 @@ def fit(
         hypr=hypr,
         pvc=pvc,
         psf=psf,
+        profiles=regions_and_symbols(profile or []),
+        bootstrap=None if bootstrap is None else Resampling(bootstrap, seed),
         command_line=typed_command(without=("--memory", "--workers", "--scheduler"), flags=("--again", "--force")),
     )
     execution = Execution(memory_size(memory) if memory else None, workers, scheduler, again)

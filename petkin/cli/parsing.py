@@ -54,6 +54,17 @@ def labels(given: list[str] | None, entity: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(label.removeprefix(entity) for label in given or ()))
 
 
+def regions_and_symbols(entries: list[str]) -> tuple[tuple[str, str], ...]:
+    """`putamen:VT` entries as (region, symbol); without a symbol, ""."""
+    pairs = []
+    for entry in entries:
+        region, colon, symbol = entry.rpartition(":") if ":" in entry else (entry, "", "")
+        if not region or (colon and not symbol):
+            raise InputError(f"--profile {entry!r}: give REGION or REGION:SYMBOL, e.g. putamen:VT.")
+        pairs.append((region, "vB" if symbol == "VB" else symbol))
+    return tuple(dict.fromkeys(pairs))
+
+
 def typed_command(*, without: Collection[str] = (), flags: Collection[str] = ()) -> str:
     """The command as typed, without the program's folder, and without options that change no result.
 

@@ -84,9 +84,16 @@ def best_polish(
     Returns:
         parameters (N, P), costs (N,), converged (N,).
     """
-    best = _polish(values, jacobian, z, sizes, starts[0], lower, upper, tolerance)
+
+    def values_of(theta: Array, _: NDArray[np.intp]) -> Array:
+        return values(theta)
+
+    def jacobian_of(theta: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
+        return jacobian(theta)
+
+    best = polish(values_of, jacobian_of, z, sizes, starts[0], lower, upper, tolerance)
     for start in starts[1:]:
-        trial = _polish(values, jacobian, z, sizes, start, lower, upper, tolerance)
+        trial = polish(values_of, jacobian_of, z, sizes, start, lower, upper, tolerance)
         better = trial[1] < best[1]
         best = tuple(np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for new, old in zip(trial, best))
     return best  # type: ignore[return-value]
@@ -125,9 +132,9 @@ def _levels(lower: float, upper: float, count: int) -> Array:
     return np.clip(np.geomspace(max(lower, 3e-3 * min(upper, 1.0)), min(upper, 1.0), count), lower, upper)
 
 
-def _polish(
-    values_of: Callable[[Array], Array],
-    jacobian_of: Callable[[Array], tuple[Array, Array]],
+def polish(
+    values_at: Callable[[Array, NDArray[np.intp]], Array],
+    jacobian_at: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]],
     z: Array,
     sizes: Array,
     start: Array,
@@ -135,11 +142,25 @@ def _polish(
     upper: Array,
     tolerance: float,
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Projected Levenberg-Marquardt from one start a curve.
+
+    Args:
+        values_at: parameters (n, P) and which curves they are for (n,) -> model (n, R).
+        jacobian_at: the same -> model (n, R) and its Jacobian (n, R, P).
+        z: what the model should be (R, N).
+        sizes: sums of squares of the curves (N,), at least those of z.
+        start: parameters (N, P), inside the box.
+        lower, upper: the box (P,).
+        tolerance: a fit ends when its expected relative gain in cost falls below this.
+
+    Returns:
+        parameters (N, P), costs (N,), converged (N,).
+    """
     theta = start.copy()
     outside = sizes - (z * z).sum(axis=0)
     lower, upper = np.broadcast_to(lower, theta.shape), np.broadcast_to(upper, theta.shape)
     span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    cost = ((z.T - values_of(theta)) ** 2).sum(axis=1)
+    cost = ((z.T - values_at(theta, np.arange(len(theta)))) ** 2).sum(axis=1)
     damping = np.full(len(theta), 1e-3)
     active = np.ones(len(theta), bool)
     for _ in range(_MAX_STEPS):
@@ -147,7 +168,7 @@ def _polish(
         if rows.size == 0:
             break
         here = theta[rows]
-        values, jacobian = jacobian_of(here)
+        values, jacobian = jacobian_at(here, rows)
         residual = z.T[rows] - values
         gradient = np.einsum("nrp,nr->np", jacobian, residual)
         low, high, wide = lower[rows], upper[rows], span[rows]
@@ -165,7 +186,7 @@ def _polish(
         )
         step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], low, high) - here
         expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
-        trial_cost = ((z.T[rows] - values_of(here + step)) ** 2).sum(axis=1)
+        trial_cost = ((z.T[rows] - values_at(here + step, rows)) ** 2).sum(axis=1)
         better = trial_cost < cost[rows]
         gain = cost[rows] - trial_cost
         theta[rows[better]] = (here + step)[better]

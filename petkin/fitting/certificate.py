@@ -101,12 +101,12 @@ def certify(
     model, box = settings.model, settings.box
     gap = np.full(len(curves), np.nan)
     held = box["vB"].start if box["vB"].fixed else 0.0
-    for rows, weights in alike(np.asarray(result.weights), len(curves)):
+    for rows, weights in alike(np.asarray(result.weights, np.float64), len(curves)):
         packed = compress(table, weights, tolerance=_KEPT)
         z, sizes, _ = project_curves(packed, weights, np.asarray(curves)[rows].T, 0, len(rows))
         outside = np.maximum(sizes - (z * z).sum(axis=0), 0.0)
         z[0] -= held * packed.blood
-        reached = result.chi2[rows] * (np.count_nonzero(weights > 0) - len(box.free))
+        reached = np.asarray(result.chi2[rows], np.float64) * (np.count_nonzero(weights > 0) - len(box.free))
         hull = hulls(packed, blood=takes_blood(box) and not box["vB"].fixed)
         fitted = np.isfinite(reached)
         bounds, _ = prove(

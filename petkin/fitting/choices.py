@@ -19,6 +19,7 @@ class Choices:
         t_star: start of the linear part of a graphical method, min; None lets the curves tell.
         window: start and end of the time that uptake values are averaged over, min; None: from t* to the end.
         share: symbols that all regions of a scan have in common.
+        certify: whether voxels too are proven to be near the best of all fits, where the method can.
     """
 
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -27,3 +28,4 @@ class Choices:
     t_star: float | None = 30.0
     window: tuple[float, float] | None = None
     share: tuple[str, ...] = ()
+    certify: bool = False

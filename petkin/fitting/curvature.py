@@ -39,13 +39,14 @@ def asymmetry(result: FitResult, table: BasisTable, settings: NonlinearSettings)
     """
     model = settings.model
     symbols = [q.symbol for q in model.quantities]
-    theta = np.stack([result[s] for s in symbols[: len(model.parameters)]], axis=1)
+    theta = np.stack([result[s] for s in symbols[: len(model.parameters)]], axis=1).astype(np.float64)
     error = np.stack([result.percent_se(s) for s in symbols], axis=1)
     codes = np.zeros(len(theta), np.int16)
-    for rows, weights in alike(np.asarray(result.weights), len(theta)):
+    for rows, weights in alike(np.asarray(result.weights, np.float64), len(theta)):
         rows = rows[np.isfinite(theta[rows]).all(axis=1)]
         held = np.isnan(error[rows, : theta.shape[1]])
-        skewed = np.abs(skewness(model, squeeze(table, weights, settings), theta[rows], result.chi2[rows], held))
+        chi2 = np.asarray(result.chi2[rows], np.float64)
+        skewed = np.abs(skewness(model, squeeze(table, weights, settings), theta[rows], chi2, held))
         beside = np.where(held, 0.0, skewed[:, : theta.shape[1]]).max(axis=1, initial=0.0)
         named = ~((skewed < MOST) & (beside < MOST_BESIDE)[:, None]) & np.isfinite(error[rows])
         codes[rows] = (named * (1 << np.arange(named.shape[1]))).sum(axis=1)

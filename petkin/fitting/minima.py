@@ -11,7 +11,7 @@ from scipy.stats import f as fisher
 
 from petkin.fitting.bounded import fit_in_box
 from petkin.fitting.cones import nearest, room
-from petkin.fitting.nonlinear import NonlinearSettings, alike, inside_table, squeeze
+from petkin.fitting.nonlinear import NonlinearSettings, alike, squeeze
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Column, FitResult, Status
 from petkin.fitting.table import BasisTable, Compression
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 _TRIED = 40
 #: Two minima are different if what the model is used for lies more standard errors apart than this.
 _APART = 2.0
+#: Minima are looked for this far from the ends of the interval of rates, where a fit can stop without being at one.
+_OFF = 1.0 + 1e-4
 _OTHER = "in another minimum of the cost, which fits the curve as well within its noise (F test, 5 percent)"
 
 
@@ -48,7 +50,7 @@ def with_second_minimum(
     best, error = result[outcome], result.percent_se(outcome) * np.abs(result[outcome]) / 100.0
     other = np.full(len(curves), np.nan)
     judged = np.isin(result.status, (Status.OK, Status.AT_BOUND)) & np.isfinite(error)
-    for rows, weights in alike(np.asarray(result.weights), len(curves)):
+    for rows, weights in alike(np.asarray(result.weights, np.float64), len(curves)):
         rows = rows[judged[rows]]
         if rows.size == 0:
             continue
@@ -81,7 +83,9 @@ def _minima(packed: Compression, z: Array, sizes: Array, settings: NonlinearSett
     )
     with np.errstate(all="ignore"):
         values = np.asarray(model.macros[0].formula(*theta[:, : model.rates].T))
-        kept = converged & np.isfinite(values) & inside_table(theta, packed, settings)
+        rates = np.stack([a for _, a in model.impulse(*theta[:, : model.rates].T)][: model.free_rates])
+    slow, fast = settings.rate_bounds
+    kept = converged & np.isfinite(values) & ((rates > slow * _OFF) & (rates * _OFF < fast)).all(axis=0)
     return curve[kept], values[kept], cost[kept]
 
 

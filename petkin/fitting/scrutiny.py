@@ -37,6 +37,13 @@ def looked_into(
     return replace(result, columns=(*result.columns, asymmetric, gap), remarks=(*result.remarks, *remarks))
 
 
+def certified(
+    result: FitResult, curves: NDArray[np.floating], table: BasisTable, settings: NonlinearSettings
+) -> FitResult:
+    """A fit of voxels with the proven gap to the best of all fits, to 0.1 percent of the cost; arguments as above."""
+    return replace(result, columns=(*result.columns, certify(curves, result, table, settings)))
+
+
 def _remark(result: FitResult, symbols: dict[int, str], codes: NDArray[np.int16]) -> str:
     counts = {symbol: int(np.count_nonzero(codes & bit)) for bit, symbol in symbols.items()}
     said = ", ".join(f"{symbol} ({count})" for symbol, count in counts.items() if count)

@@ -15,6 +15,7 @@ from petkin.fitting import (
     FitResult,
     Given,
     NonlinearSettings,
+    certified,
     fit_curves,
     fit_shared,
     looked_into,
@@ -42,7 +43,10 @@ def compartments(model: CompartmentModel) -> Method:
         if not shared:
             chosen = nonlinear_settings(model, choices, voxels)
             result = fit_curves(curves, arterial, seen, weights, chosen)
-            return result if voxels else looked_into(result, curves, tabulate(arterial, seen, chosen), chosen)
+            if voxels and not choices.certify:
+                return result
+            table = tabulate(arterial, seen, chosen)
+            return certified(result, curves, table, chosen) if voxels else looked_into(result, curves, table, chosen)
         if voxels:
             raise InputError(f"{shared[0]} is shared by the regions of a scan; fit voxels without --share.")
         symbol = shared[0]

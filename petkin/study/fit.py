@@ -123,7 +123,7 @@ def fit_job(job: Job, progress: Progress, spread: Spread = map, helpers: int = 1
                 report = build_report(fit, request, known_truth(request.target, source))
                 write_bytes(folder.path(relative), render_fit_report(report).encode())
             write_record(folder, source, request, fitted)
-    return replace(fitted, fit=replace(fit, voxels=None, by_voxel=()))
+    return replace(fitted, fit=replace(fit, voxels=None, by_voxel=(), voxel_choice=()))
 
 
 def _one_by_one(jobs: list[Job], progress: Progress) -> Iterator[Fitted | PetkinError]:

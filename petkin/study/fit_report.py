@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.fitting import FitResult, Status
+from petkin.fitting import FitResult, Status, agreement
 from petkin.inputs import InputFunction
 from petkin.methods import find_method
 from petkin.reporting import (
@@ -62,9 +62,20 @@ def build_report(fit: ScanFit, request: FitRequest, truth: tuple[TruthRow, ...] 
         version=f"petkin {__version__}",
         warnings=tuple(map(str, fit.remarks)),
         limits=tuple(dict.fromkeys(r for result in (*fit.regional, *fit.by_voxel) for r in result.remarks)),
-        methods=(_OBSERVED[request.observation], f"Weights: {fit.how_weighted}.", *_chosen(fit, request)),
+        methods=(
+            _OBSERVED[request.observation],
+            f"Weights: {fit.how_weighted}.",
+            *_chosen(fit, request),
+            *_compared_models(fit, request),
+        ),
         citations=("Innis RB et al. J Cereb Blood Flow Metab 2007;27:1533-1539, doi:10.1038/sj.jcbfm.9600493",),
     )
+
+
+def _compared_models(fit: ScanFit, request: FitRequest) -> list[str]:
+    """Which model the regions ask for, and on what all agree."""
+    same = [result for method, result in zip(request.methods, fit.regional) if method.comparable]
+    return [agreement(same)] if fit.regional_choice else []
 
 
 def _chosen(fit: ScanFit, request: FitRequest) -> list[str]:

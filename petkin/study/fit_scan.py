@@ -15,6 +15,7 @@ from petkin.io import RegionalCurves, Remark, against_tissue, read_regions
 from petkin.io.remarks import severe, warning
 from petkin.methods import Method
 from petkin.study.blocks import fit_voxels
+from petkin.study.certainty import check_regions, chosen_model, more_certain
 from petkin.study.geometry import PartialVolume, denoise, denoising_remark, partial_volume
 from petkin.study.mid_frame import mid_frame_shift
 from petkin.study.reference import reference_curve
@@ -46,6 +47,7 @@ class ScanFit:
         voxels: voxel curves, or None.
         regional: result a model by region, in the order of the request.
         by_voxel: result a model by voxel.
+        regional_choice, voxel_choice: models compared by AICc and averaged; empty for fewer than two.
         mid_frame: a sentence a model on what frame averages change, "" where that was not asked.
         remarks: warnings.
         partial_volume: the correction that the regional curves have had, or None.
@@ -61,6 +63,8 @@ class ScanFit:
     voxels: VoxelCurves | None
     regional: tuple[FitResult, ...]
     by_voxel: tuple[FitResult, ...]
+    regional_choice: tuple[FitResult, ...]
+    voxel_choice: tuple[FitResult, ...]
     mid_frame: tuple[str, ...]
     remarks: tuple[Remark, ...]
     partial_volume: PartialVolume | None = None
@@ -90,6 +94,7 @@ def fit_scan(
     progress("reading the image" if source.image is not None else "curves", 0.05)
     voxels, measured, correction = _curves(source, request, resources)
     curves = measured if correction is None or measured is None else correction.corrected(measured)
+    check_regions(request, curves)
     whole = whole_brain(voxels, curves)
     weights, how = frame_weights(whole, source, request)
     progress("delay", 0.3)
@@ -105,6 +110,11 @@ def fit_scan(
         progress(f"{method.label} by region" if curves is not None else method.label, 0.4 + 0.5 * i / len(methods))
         if curves is not None:
             result = method.fit(curves.values, given, request.choices, False)
+
+            def closer(done: float, i: int = i, step: str = f"{method.label} by region: how sure") -> None:
+                progress(step, 0.4 + 0.5 * (i + 0.3 * done) / len(methods))
+
+            result = more_certain(result, method, curves, given, request, closer)
             regional.append(_completed(result, applied))
             compared = request.observation == "frame" and method.comparable
             shifts.append(mid_frame_shift(result, method, curves, given, request.choices) if compared else "")
@@ -136,6 +146,8 @@ def fit_scan(
         voxels,
         tuple(regional),
         tuple(by_voxel),
+        chosen_model(methods, tuple(regional)),
+        chosen_model(methods, tuple(by_voxel)),
         tuple(shifts),
         remarks,
         correction,

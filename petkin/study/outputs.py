@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from petkin import __version__
 from petkin.errors import InputError
-from petkin.fitting import FitResult, Status
+from petkin.fitting import Column, FitResult, Status
 from petkin.io import (
     AtomicFolder,
     json_text,
@@ -54,7 +54,11 @@ def writing(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> Iterator
     _write_tables(folder, fit, request)
     pool = ThreadPoolExecutor(min(fit.voxels.plan.maps, os.cpu_count() or 1) if fit.voxels else 1)
     try:
-        maps = [pool.submit(job) for result in fit.by_voxel for job in _map_jobs(folder, fit, result, request)]
+        maps = [
+            pool.submit(job)
+            for result in (*fit.by_voxel, *fit.voxel_choice)
+            for job in _map_jobs(folder, fit, result, request)
+        ]
         yield
         for one in maps:
             one.result()
@@ -76,7 +80,7 @@ def _write_tables(folder: AtomicFolder, fit: ScanFit, request: FitRequest) -> No
         path = names.tacs_path(scan, seg=fit.curves.seg, pvc=fit.curves.pvc, desc=fit.curves.desc)
         shared = _shared("", fit, request) | _corrected(fit)
         write_tacs(folder.path(path), fit.curves, describe.tacs_sidecar(shared))
-        for result in fit.regional:
+        for result in (*fit.regional, *fit.regional_choice):
             _write_kinpar(folder, fit, result, request)
 
 
@@ -113,7 +117,13 @@ def kinpar_table(fit: ScanFit, result: FitResult) -> pd.DataFrame:
         columns[measure] = estimate.value
         columns[f"{measure}-se"] = estimate.percent_se
     columns |= {"chi2": result.chi2, "aicc": result.aicc, "status": result.status.astype(int)}
-    return pd.DataFrame(columns | {column.name: column.cells for column in result.columns})
+    return pd.DataFrame(columns | {_name(column): column.cells for column in result.columns})
+
+
+def _name(column: Column) -> str:
+    """A column's name in files, where symbols are spelt their way."""
+    symbol, dash, what = column.name.rpartition("-")
+    return f"{describe.measure_name(symbol)}{dash}{what}"
 
 
 def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request: FitRequest) -> None:
@@ -122,7 +132,7 @@ def _write_kinpar(folder: AtomicFolder, fit: ScanFit, result: FitResult, request
     path = names.kinpar_path(fit.source.entities, result.model, seg=curves.seg, pvc=curves.pvc, desc=curves.desc)
     shared = _shared(result.model, fit, request, result) | _corrected(fit)
     sidecar = describe.kinpar_sidecar(_columns(result), _MEANINGS, shared)
-    sidecar |= {column.name: describe.column_fields(column.meaning, column.unit) for column in result.columns}
+    sidecar |= {_name(column): describe.column_fields(column.meaning, column.unit) for column in result.columns}
     _table_with_json(folder, path, lambda p: write_table(p, kinpar_table(fit, result)), sidecar)
 
 

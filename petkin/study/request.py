@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from petkin.errors import InputError
-from petkin.fitting import Choices, Need
+from petkin.fitting import Choices, Need, Resampling
 from petkin.inputs import PARENT_FRACTION_MODELS
 from petkin.methods import Method, check_choices, find_method
 
@@ -52,6 +52,8 @@ class FitRequest:
         reference_mask: image that is above 0 there, instead.
         dose: MBq; or "stated" or "total", which field of the sidecar to believe; None where they agree.
         body_weight: kg; None takes what the study states.
+        profiles: regions whose profile likelihoods are wanted, each with a symbol, or "" for all.
+        bootstrap: resampling of the regional curves, or None.
         command_line: what was typed, for the sidecars.
     """
 
@@ -84,6 +86,8 @@ class FitRequest:
     hypr: float | None = None
     pvc: str | None = None
     psf: float | None = None
+    profiles: tuple[tuple[str, str], ...] = ()
+    bootstrap: Resampling | None = None
     command_line: str = ""
 
     def __post_init__(self) -> None:
@@ -99,6 +103,7 @@ class FitRequest:
         _check_reference(self)
         _check_dose(self)
         _check_geometry(self)
+        _check_certainty(self)
 
     @property
     def methods(self) -> tuple[Method, ...]:
@@ -153,6 +158,26 @@ def _check_reference(request: FitRequest) -> None:
         )
     if given and not asking:
         raise InputError(f"{given[0]} is given but none of {', '.join(request.models)} uses a reference region.")
+
+
+def _check_certainty(request: FitRequest) -> None:
+    if not (request.profiles or request.bootstrap is not None or request.choices.certify):
+        return
+    compartments = [m.nonlinear(request.choices, False).model for m in request.methods if m.nonlinear is not None]
+    for option, asked in (("--profile", bool(request.profiles)), ("--certify", request.choices.certify)):
+        if asked and not compartments:
+            raise InputError(f"{option} is for compartment models; {', '.join(request.models)} is none.")
+    if request.level == "voxel" and (request.profiles or request.bootstrap is not None):
+        option = "--profile" if request.profiles else "--bootstrap"
+        raise InputError(f"{option} is for regions, and --level voxel leaves them out.")
+    if request.level == "region" and request.choices.certify:
+        raise InputError("--certify is for voxels, which --level region leaves out; regions are always certified.")
+    if request.profiles and request.choices.share:
+        raise InputError("--profile looks at regions one by one; leave --share out.")
+    known = dict.fromkeys(quantity.symbol for model in compartments for quantity in model.quantities)
+    for region, symbol in request.profiles:
+        if symbol and symbol not in known:
+            raise InputError(f"--profile {region}:{symbol}: there is no {symbol!r}; choose from {', '.join(known)}.")
 
 
 def _check_dose(request: FitRequest) -> None:

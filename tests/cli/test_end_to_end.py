@@ -52,6 +52,11 @@ def test_every_file_of_the_contract_is_there_and_no_other(fitted: tuple[Path, Ra
         expected |= {f"model-{model}_desc-{what}_mimap.nii.gz" for what in ("status", "chi2", "aicc", "bound")}
         for symbol in symbols:
             expected |= {f"model-{model}_meas-{symbol}{se}_mimap.nii.gz" for se in ("", "_desc-se")}
+    expected.add("seg-phantom_model-AICc_kinpar.tsv")
+    compared = [f"desc-{what}" for what in ("status", "chi2", "aicc", "choice")]
+    compared += [f"meas-{symbol}{se}" for symbol in ("K1", "VB", "VT") for se in ("", "_desc-se")]
+    compared += [f"meas-weight_desc-{model}" for model in PARAMETERS]
+    expected |= {f"model-AICc_{what}_mimap.nii.gz" for what in compared}
     sidecars = {name.partition(".")[0] + ".json" for name in expected if not name.endswith(".html")}
     found = {
         str(path.relative_to(study / "derivatives/petkin")) for path in (study / "derivatives/petkin").rglob("*.*")

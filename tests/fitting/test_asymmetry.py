@@ -22,10 +22,10 @@ def covered_and_named(share: float) -> tuple[np.ndarray, np.ndarray]:
     covered, named = [], []
     settings = NonlinearSettings(TWO_TISSUE)
     table = tabulate(ARTERIAL, PLAIN, settings)
-    for seed, truth in enumerate(uniform_truth("2TCM", 20, 7)):
+    for seed, truth in enumerate(uniform_truth("2TCM", 15, 7)):
         clean = frame_averages("2TCM", truth[None])
         sd = counting_sd(clean, share)
-        curves = clean + sd * np.random.default_rng(seed).standard_normal((60, len(FRAMES)))
+        curves = clean + sd * np.random.default_rng(seed).standard_normal((50, len(FRAMES)))
         result = fit_curves(curves, ARTERIAL, PLAIN, 1.0 / sd[0] ** 2, settings)
         K1, k2, k3, k4, vB = truth
         known = np.array([K1, k2, k3, k4, vB, K1 / k2 * (1 + k3 / k4), K1 / k2, k3 / k4, K1 * k3 / (k2 + k3)])

@@ -63,7 +63,7 @@ def _ends_in(curve: np.ndarray, weights: np.ndarray, VT: float, limit: float) ->
         end = least_squares(lambda u: solve(u)[0], start, bounds=(grid[0], np.log(5.001)))
         vB, *phi = solve(end.x)[1]
         found = (np.array(phi) / (np.exp(end.x) - 1e-3)).sum() / (1 - vB)
-        if 2 * end.cost <= limit and abs(found / VT - 1) < 0.05:
+        if 2 * end.cost <= limit and abs(found / VT - 1) < 0.02:
             return True
     return False
 

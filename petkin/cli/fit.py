@@ -171,9 +171,10 @@ def fit(
         ),
     ] = "plasma",
     dispersion: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            help="Time constant (s) of the autosampler's line; default: what the files state.", rich_help_panel=_MODEL
+            help="Time constant (s) of the autosampler's line, or estimate; default: what the files state.",
+            rich_help_panel=_MODEL,
         ),
     ] = None,
     memory: Annotated[
@@ -235,13 +236,14 @@ def fit(
             minutes_or_auto,
             numbers_by_symbol,
             regions_and_symbols,
+            seconds,
             typed_command,
         )
         from petkin.cli.progress import progress_bar
         from petkin.cli.tell import tell_fits
         from petkin.fitting import Choices, Resampling
         from petkin.study.fit import fit_study
-        from petkin.study.request import DELAY, FitRequest
+        from petkin.study.request import DELAY, ESTIMATE, FitRequest
         from petkin.study.resources import Execution
 
     choices = Choices(
@@ -275,7 +277,8 @@ def fit(
         observation=observation,
         parent_fraction=parent_fraction,
         plasma_from=plasma_from,
-        dispersion_s=dispersion,
+        dispersion_s=None if dispersion in (None, ESTIMATE) else seconds(dispersion, option="--dispersion"),
+        estimate_dispersion=dispersion == ESTIMATE,
         reference=tuple(dict.fromkeys(reference or ())),
         reference_mask=reference_mask,
         dose=None if dose is None else dose_in_mbq(dose),

@@ -44,6 +44,11 @@ def dose_in_mbq(text: str) -> str | float:
     return text if text in ("stated", "total") else _number(text, text, "--dose")
 
 
+def seconds(text: str, *, option: str) -> float:
+    """A number of seconds."""
+    return _number(text, text, option)
+
+
 def minutes_or_auto(text: str, *, option: str) -> float | None:
     """A number of minutes, or None for `auto`."""
     return None if text == "auto" else _number(text, text, option)

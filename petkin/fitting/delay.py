@@ -35,12 +35,14 @@ class Delay:
         at_end: whether it ran into an end of the span and is not to be trusted.
         profile: delays tried (min) and their weighted sums of squares over the noise variance, summed over the curves,
             ascending in delay.
+        costs: weighted sum of squares of every curve at the best delay (N,).
     """
 
     minutes: float
     se: float
     at_end: bool
     profile: tuple[Array, Array]
+    costs: Array
 
 
 def estimate_delay(
@@ -88,7 +90,7 @@ def estimate_delay(
     costs = _over_noise(each[first], freedom)
     best = int(np.argmin(costs))
     at_end = best in (0, len(tried) - 1)
-    return Delay(float(tried[best]), _error(tried, costs, best), at_end, (tried, costs))
+    return Delay(float(tried[best]), parabola_error(tried, costs, best), at_end, (tried, costs), each[first][best])
 
 
 def _over_noise(each: Array, freedom: int) -> Array:
@@ -96,7 +98,7 @@ def _over_noise(each: Array, freedom: int) -> Array:
     return (each * (freedom / np.maximum(each.min(axis=0), 1e-300))).sum(axis=1)
 
 
-def _error(tried: Array, costs: Array, best: int) -> float:
+def parabola_error(tried: Array, costs: Array, best: int) -> float:
     """Half width of the cost at 1 above its minimum, from the nearest points that lie higher, by a parabola."""
     reached = np.flatnonzero(costs - costs[best] >= 1.0)
     left, right = reached[reached < best], reached[reached > best]

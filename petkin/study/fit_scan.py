@@ -16,6 +16,7 @@ from petkin.io.remarks import severe, warning
 from petkin.methods import Method
 from petkin.study.blocks import fit_voxels
 from petkin.study.certainty import check_regions, chosen_model, more_certain
+from petkin.study.dispersion import freed_input
 from petkin.study.geometry import PartialVolume, denoise, denoising_remark, partial_volume
 from petkin.study.mid_frame import mid_frame_shift
 from petkin.study.reference import reference_curve
@@ -98,6 +99,9 @@ def fit_scan(
     whole = whole_brain(voxels, curves)
     weights, how = frame_weights(whole, source, request)
     progress("delay", 0.3)
+    smeared = None
+    if request.estimate_dispersion and arterial is not None:
+        arterial, smeared = freed_input(source, whole, observation, weights, request, curves)
     delay, applied, doubt = shared_delay(whole, arterial, observation, weights, request, curves)
     arrived = None if arterial is None else arterial.delayed(applied[0])
     given = Given(observation, weights, arrived, reference_curve(source, request, curves), source.suv)
@@ -130,6 +134,7 @@ def fit_scan(
             voxels.plan.release()
     remarks = (
         *source.remarks,
+        *([smeared] if smeared else []),
         *([warning("delay-unknown", source.label, doubt)] if doubt else []),
         *(correction.remarks if correction is not None else ()),
         *([denoising_remark(source)] if request.hypr is not None else []),

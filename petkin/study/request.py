@@ -16,8 +16,8 @@ OBSERVATIONS = ("frame", "plain", "mid")
 PARENT_FRACTIONS = ("auto", *PARENT_FRACTION_MODELS, "interpolated", "none")
 CORRECTIONS = ("gtm",)
 PLASMA_SOURCES = ("plasma", "whole_blood")
-#: What --share calls the delay of the input.
-DELAY = "delay"
+#: What --share calls the delay of the input, and what --delay and --dispersion call for.
+DELAY, ESTIMATE = "delay", "estimate"
 #: Longer delays (min) are times in another unit, or blood of another clock.
 _LONGEST_DELAY = 5.0
 
@@ -48,6 +48,7 @@ class FitRequest:
         pvc: "gtm" to correct regional curves for partial volume by the geometric transfer matrix; None for not.
         psf: FWHM of the point spread (mm) that `pvc` corrects for.
         dispersion_s: time constant to correct autosampler blood for, s; None takes what the files state.
+        estimate_dispersion: look for it together with the delay.
         reference: names of the regions that make up the reference region.
         reference_mask: image that is above 0 there, instead.
         dose: MBq; or "stated" or "total", which field of the sidecar to believe; None where they agree.
@@ -79,6 +80,7 @@ class FitRequest:
     parent_fraction: str = "auto"
     plasma_from: str = "plasma"
     dispersion_s: float | None = None
+    estimate_dispersion: bool = False
     reference: tuple[str, ...] = ()
     reference_mask: Path | None = None
     dose: str | float | None = None
@@ -134,6 +136,8 @@ def _check_numbers(request: FitRequest) -> None:
         raise InputError(
             f"--delay is {60 * delay:g} s; blood and brain are at most {60 * _LONGEST_DELAY:g} s apart: give seconds."
         )
+    if request.estimate_dispersion and not isinstance(delay, str):
+        raise InputError("--dispersion estimate looks for the delay as well; drop --delay.")
     if request.share_delay and not isinstance(delay, str):
         raise InputError(f"The delay is given ({60 * delay:g} s) and to be shared; drop --delay or --share delay.")
     twice = sorted(set(request.choices.bounds) & set(request.choices.fixed))

@@ -89,7 +89,7 @@ def shared_delay(
             f"{observation.frames.where}: {counted} frames with weight are too few to estimate the delay between blood "
             "and brain; give --delay 0, or more frames."
         )
-    seen = _regions(curves, observation) if request.share_delay else whole
+    seen = seen_for_delay(whole, observation, request, curves)
     found = estimate_delay(seen, arterial, observation, weights, model, rate_bounds=request.choices.rate_bounds)
     if not found.at_end:
         return found, (found.minutes, found.se), ""
@@ -98,6 +98,13 @@ def shared_delay(
         "the span): none was applied; check the blood's time zero, or give --delay."
     )
     return found, (0.0, float("nan")), text
+
+
+def seen_for_delay(
+    whole: NDArray[np.float64], observation: FrameObservation, request: FitRequest, curves: RegionalCurves | None
+) -> NDArray[np.float64]:
+    """The whole brain (K,), or all regions (N, K) where they are to share the delay."""
+    return _regions(curves, observation) if request.share_delay else whole
 
 
 def _regions(curves: RegionalCurves | None, observation: FrameObservation) -> NDArray[np.float64]:

@@ -49,9 +49,8 @@ class Arrival:
     @property
     def sentence(self) -> str:
         """What the curves tell of it."""
-        text = (
-            f"Dispersion {60 * self.dispersion:.0f} s (standard error {60 * self.se:.1g} s), estimated with the delay"
-        )
+        error = f" (standard error {60 * self.se:.1g} s)" if np.isfinite(self.se) else ""
+        text = f"Dispersion {60 * self.dispersion:.0f} s{error}, estimated with the delay"
         if not np.isfinite(self.se) or self.told < 1.0:
             return text + "; the curves cannot tell it from none, or from the longest tried: give --dispersion."
         if abs(self.correlation) > _ALIKE:

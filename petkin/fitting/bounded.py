@@ -8,23 +8,26 @@ doi:10.1016/j.cam.2004.02.013). Started from the free optimum moved into the box
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
-from petkin.fitting.sensitivity import blood_values, model_jacobian, model_values
+from petkin.fitting.box import BoxTask, polish_in_box
+from petkin.fitting.explicit import Fitted, better_of, polish_explicit
+from petkin.fitting.sensitivity import blood_values, model_values
 from petkin.fitting.table import Compression, project_rows
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
 
-_MAX_STEPS = 200
+#: Penalties of a rate that leaves its interval by its own size, over the curve's sum of squares.
+_PENALTIES = 1.0, 1e2, 1e4
+#: Along the end of an interval steps are short; below this relative gain they are not worth while.
+_CRAWL = 1e-6
 _GRID_LEVELS, _WALL_LEVELS = 6, 3
-#: Below this share of a parameter's range (or its own size) a value counts as on its bound.
-ON_BOUND = 1e-7
 
 
 def fit_in_box(
@@ -34,10 +37,12 @@ def fit_in_box(
     sizes: Array,
     start: Array,
     box: ParameterSet,
+    rates: tuple[float, float],
     *,
     starts: int,
     tolerance: float,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+    explicit: bool,
+) -> Fitted:
     """Fit curves inside a box.
 
     Args:
@@ -47,56 +52,47 @@ def fit_in_box(
         sizes: weighted sums of squares (N,).
         start: free optimum (N, P), moved into the box here.
         box: bounds and fixed values.
+        rates: interval of the exponentials' rates, 1/min; an end that no point of the box respects does not count.
         starts: grid points to start from as well.
         tolerance: a fit ends when its expected relative gain in cost falls below this.
+        explicit: work on residuals themselves, past the rounding of inner products; a hundred times slower.
 
     Returns:
         parameters (N, P), costs (N,), converged (N,).
     """
     lower, upper = box.lower, box.upper
+    task = BoxTask(model, packed, lower, upper, _within_reach(model, box, rates), tolerance)
+    polish = polish_explicit if explicit or model.wall else polish_in_box
     middle = np.broadcast_to(box.start, start.shape)
     candidates = [np.clip(np.where(np.isfinite(start), start, middle), lower, upper)]
     if starts:
         candidates += [np.clip(one, lower, upper) for one in _grid_starts(model, packed, z, box, starts)]
-    values, jacobian = partial(model_values, model, packed), partial(model_jacobian, model, packed)
-    return best_polish(values, jacobian, z, sizes, candidates, lower, upper, tolerance)
+    best = _keep_rates(polish, task, z, sizes, candidates[0])
+    for candidate in candidates[1:]:
+        best = better_of(best, _keep_rates(polish, task, z, sizes, candidate))
+    return best
 
 
-def best_polish(
-    values: Callable[[Array], Array],
-    jacobian: Callable[[Array], tuple[Array, Array]],
-    z: Array,
-    sizes: Array,
-    starts: Sequence[Array],
-    lower: Array,
-    upper: Array,
-    tolerance: float,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """The best end of the polishes from several starts.
+def _keep_rates(polish: Callable[..., Fitted], task: BoxTask, z: Array, sizes: Array, start: Array) -> Fitted:
+    """First as if rates were free; those that leave their interval are then drawn back, harder and harder."""
+    theta, cost, converged = polish(task, z, sizes, start, 0.0)
+    task = replace(task, tolerance=max(task.tolerance, _CRAWL))
+    for penalty in _PENALTIES:
+        found = np.stack([a for _, a in task.model.impulse(*theta[:, : task.model.rates].T)])
+        left = np.flatnonzero(((found < task.rates[0]) | (found > task.rates[1])).any(axis=0))
+        if left.size == 0:
+            break
+        theta[left], cost[left], converged[left] = polish(task, z[:, left], sizes[left], theta[left], penalty)
+    return theta, cost, converged
 
-    Args:
-        values: compressed curves (N, R) of parameters (N, P).
-        jacobian: the same with their derivatives (N, R, P).
-        z, sizes, tolerance: as in `fit_in_box`.
-        starts: parameters (N, P) to start from, inside the box.
-        lower, upper: the box (P,), or one a curve (N, P).
 
-    Returns:
-        parameters (N, P), costs (N,), converged (N,).
-    """
-
-    def values_of(theta: Array, _: NDArray[np.intp]) -> Array:
-        return values(theta)
-
-    def jacobian_of(theta: Array, _: NDArray[np.intp]) -> tuple[Array, Array]:
-        return jacobian(theta)
-
-    best = polish(values_of, jacobian_of, z, sizes, starts[0], lower, upper, tolerance)
-    for start in starts[1:]:
-        trial = polish(values_of, jacobian_of, z, sizes, start, lower, upper, tolerance)
-        better = trial[1] < best[1]
-        best = tuple(np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old) for new, old in zip(trial, best))
-    return best  # type: ignore[return-value]
+def _within_reach(model: CompartmentModel, box: ParameterSet, rates: tuple[float, float]) -> tuple[float, float]:
+    """The interval of rates without an end that no corner of the box respects."""
+    slow, fast = 0.0 if model.trapping else rates[0], rates[1]
+    ends = np.clip(np.stack([box.lower, box.upper], axis=1)[: model.rates], 1e-12, 1e6)
+    found = np.array([[a for _, a in model.impulse(*corner)] for corner in itertools.product(*ends)])
+    slowest = found[:, model.free_rates - 1]
+    return (slow if slowest.max() > slow else 0.0), (fast if found[:, 0].min() < fast else np.inf)
 
 
 def _grid_starts(model: CompartmentModel, packed: Compression, z: Array, box: ParameterSet, starts: int) -> Array:
@@ -130,70 +126,3 @@ def _levels(lower: float, upper: float, count: int) -> Array:
     if upper <= lower:
         return np.array([lower])
     return np.clip(np.geomspace(max(lower, 3e-3 * min(upper, 1.0)), min(upper, 1.0), count), lower, upper)
-
-
-def polish(
-    values_at: Callable[[Array, NDArray[np.intp]], Array],
-    jacobian_at: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]],
-    z: Array,
-    sizes: Array,
-    start: Array,
-    lower: Array,
-    upper: Array,
-    tolerance: float,
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Projected Levenberg-Marquardt from one start a curve.
-
-    Args:
-        values_at: parameters (n, P) and which curves they are for (n,) -> model (n, R).
-        jacobian_at: the same -> model (n, R) and its Jacobian (n, R, P).
-        z: what the model should be (R, N).
-        sizes: sums of squares of the curves (N,), at least those of z.
-        start: parameters (N, P), inside the box.
-        lower, upper: the box (P,).
-        tolerance: a fit ends when its expected relative gain in cost falls below this.
-
-    Returns:
-        parameters (N, P), costs (N,), converged (N,).
-    """
-    theta = start.copy()
-    outside = sizes - (z * z).sum(axis=0)
-    lower, upper = np.broadcast_to(lower, theta.shape), np.broadcast_to(upper, theta.shape)
-    span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-    cost = ((z.T - values_at(theta, np.arange(len(theta)))) ** 2).sum(axis=1)
-    damping = np.full(len(theta), 1e-3)
-    active = np.ones(len(theta), bool)
-    for _ in range(_MAX_STEPS):
-        rows = np.flatnonzero(active)
-        if rows.size == 0:
-            break
-        here = theta[rows]
-        values, jacobian = jacobian_at(here, rows)
-        residual = z.T[rows] - values
-        gradient = np.einsum("nrp,nr->np", jacobian, residual)
-        low, high, wide = lower[rows], upper[rows], span[rows]
-        held = ((here <= low + ON_BOUND * wide) & (gradient <= 0)) | (
-            (here >= high - ON_BOUND * wide) & (gradient >= 0)
-        )
-        jacobian *= ~held[:, None, :]
-        gradient *= ~held
-        normal = np.einsum("nrp,nrq->npq", jacobian, jacobian)
-        scale = np.einsum("npp->np", normal)
-        safe = np.where(scale > 0, scale, 1.0)
-        damped = (
-            normal
-            + np.eye(here.shape[1]) * (damping[rows, None] * scale + np.where(scale > 0, 1e-14 * safe, 1.0))[:, :, None]
-        )
-        step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], low, high) - here
-        expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
-        trial_cost = ((z.T[rows] - values_at(here + step, rows)) ** 2).sum(axis=1)
-        better = trial_cost < cost[rows]
-        gain = cost[rows] - trial_cost
-        theta[rows[better]] = (here + step)[better]
-        cost[rows[better]] = trial_cost[better]
-        # Steps that gain much less than expected overshoot: less damping would make them bounce from side to side.
-        factor = np.where(gain > 0.75 * expected, 0.1, np.where(gain > 0.25 * expected, 1.0, 4.0))
-        damping[rows] = np.maximum(damping[rows] * np.where(better, factor, 10.0), np.where(better, 1e-12, 1e-4))
-        small = np.abs(expected) <= tolerance * (cost[rows] + np.maximum(outside[rows], 0.0)) + 1e-24 * sizes[rows]
-        active[rows[small | (damping[rows] > 1e10)]] = False
-    return theta, cost + outside, ~active

@@ -34,6 +34,7 @@ from petkin.fitting.normal import (
 from petkin.fitting.table import RATE_OFFSET, Compression, InnerProducts
 from petkin.fitting.tape import Tape, record_partials, run
 from petkin.kinetics import CompartmentModel
+from petkin.kinetics.compartment import Macro
 
 Array = NDArray[np.float64]
 
@@ -85,15 +86,14 @@ class Limits:
 
 
 @lru_cache
-def _formulas_of(model: CompartmentModel) -> Formulas:
-    """x0 = vB, x_m = (1 - vB) phi_m."""
+def curve_formulas(model: CompartmentModel, macros: tuple[Macro, ...] = ()) -> Formulas:
+    """Of a compartment model: x0 = vB, x_m = (1 - vB) phi_m; macro-parameters as asked for."""
 
     def curve(*p):
         *rates, vB = p
         return (vB, *(number for phi, a in model.impulse(*rates) for number in ((1.0 - vB) * phi, a)))
 
-    macros = tuple(lambda *p, m=m: m.formula(*p[:-1]) for m in model.macros)
-    return Formulas.of(curve, macros, len(model.parameters))
+    return Formulas.of(curve, tuple(lambda *p, m=m: m.formula(*p[:-1]) for m in macros), len(model.parameters))
 
 
 def model_errors(
@@ -107,7 +107,9 @@ def model_errors(
     wanted: bool,
 ) -> NDArray[np.int16]:
     """`percent_errors` of a compartment model."""
-    return percent_errors(packed.products, _formulas_of(model), limits, values, percent, chi2, wanted=wanted)
+    return percent_errors(
+        packed.products, curve_formulas(model, model.macros), limits, values, percent, chi2, wanted=wanted
+    )
 
 
 def percent_errors(
@@ -175,9 +177,9 @@ def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
         if not wanted:
             percent[:, start : start + count] = np.nan
             continue
-        _place(memory, outputs, exponentials, low, spacing, float(len(own)), position, w)
-        _gather(w, gram, own, position)
-        _columns(memory, outputs, parameters, exponentials, w)
+        place(memory, outputs, exponentials, low, spacing, float(len(own)), position, w)
+        gather(w, gram, own, position)
+        unpack(memory, outputs, parameters, exponentials, w)
         invert(w, axis)
         for n in range(count):
             if w[LOST * LANES + n] > _TOO_MUCH:
@@ -212,7 +214,7 @@ def _touch(memory, outputs, exponentials, ends, values, start, count, w, reached
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _place(memory, outputs, exponentials, low, spacing, last, position, w):
+def place(memory, outputs, exponentials, low, spacing, last, position, w):
     """Positions of the exponentials between nodes, and how fast they move with the rate."""
     for m in range(exponentials):
         rate = memory[outputs[2 + 2 * m]]
@@ -224,7 +226,7 @@ def _place(memory, outputs, exponentials, low, spacing, last, position, w):
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(w, gram, own, position):
+def gather(w, gram, own, position):
     """What the inner products need at every curve's rates; an absent second atom sits at the first node."""
     last, two = np.uint64(own.shape[0] - 1), np.uint64(2)
     for n in range(LANES):
@@ -240,7 +242,7 @@ def _gather(w, gram, own, position):
 
 
 @njit(cache=True, error_model="numpy")
-def _columns(memory, outputs, parameters, exponentials, w):
+def unpack(memory, outputs, parameters, exponentials, w):
     """Amplitudes, and derivatives of amplitudes and rates by every parameter."""
     atoms = 1 + 2 * exponentials
     for m in range(exponentials + 1):

@@ -47,6 +47,7 @@ class Tables(NamedTuple):
     Args:
         blood: length of the blood atom along axis 0; 0 leaves blood out.
         low, spacing: of the nodes in u.
+        first, last: positions that rates keep between.
         rows: b and db/dx of every node, as columns (R, 2 nodes).
         gram: rows^T rows (2 nodes, 2 nodes).
         own: of every interval, the upper triangle of its 4 x 4 block of `gram` and its four entries of rows[0],
@@ -61,6 +62,8 @@ class Tables(NamedTuple):
     blood: float
     low: float
     spacing: float
+    first: float
+    last: float
     rows: NDArray[np.float64]
     gram: NDArray[np.float64]
     own: NDArray[np.float64]
@@ -127,9 +130,9 @@ def search(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _search(z, sizes, tables, scratch, tolerance, again, answer):
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
-    blood, low, spacing, rows, gram, own, coarse, atoms, lead, near, units, lean, toward = tables
+    blood, low, spacing, lowest, highest, rows, gram, own, coarse, atoms, lead, near, units, lean, toward = tables
     curves, room, beside, scaled, projections, scores, chosen, work, curve, plan, found = scratch
-    last, reach = float(own.shape[0]), _REACH / spacing
+    reach = _REACH / spacing
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
         _see(z, start, size, units, curves, room, beside)
@@ -151,7 +154,7 @@ def _search(z, sizes, tables, scratch, tolerance, again, answer):
             _gather(work, used, curve, curves, rows, gram, own)
             registers = (used + REGISTER - 1) // REGISTER
             lanes.evaluate(work, registers, blood)
-            lanes.propose(work, registers, last, reach, tolerance)
+            lanes.propose(work, registers, lowest, highest, reach, tolerance)
             n = 0
             while n < used:
                 if work[lanes.DONE * LANES + n] == 0.0:

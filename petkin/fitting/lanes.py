@@ -86,7 +86,7 @@ def _own(w, row, n, a, e):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _combine(w, row, n, a):
+def combine(w, row, n, a):
     """Four gathered numbers, weighted."""
     k = row * LANES + n
     return w[k] * a[0] + w[k + LANES] * a[1] + w[k + 2 * LANES] * a[2] + w[k + 3 * LANES] * a[3]
@@ -97,10 +97,10 @@ def _across(w, n, a):
     """The gathered 4 x 4 Gram block between the two atoms' rows, its first side weighted."""
     k = 4 * LANES
     return (
-        _combine(w, CROSS, n, a),
-        _combine(w, CROSS, n + k, a),
-        _combine(w, CROSS, n + 2 * k, a),
-        _combine(w, CROSS, n + 3 * k, a),
+        combine(w, CROSS, n, a),
+        combine(w, CROSS, n + k, a),
+        combine(w, CROSS, n + 2 * k, a),
+        combine(w, CROSS, n + 3 * k, a),
     )
 
 
@@ -188,10 +188,10 @@ def evaluate(w, registers, blood):
     for n in range(registers * REGISTER):
         a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
         g11, c11, d11, l1, k1 = _own(w, OWN_1, n, a, e)
-        h1, m1 = _combine(w, SEEN_1, n, a), _combine(w, SEEN_1, n, e)
+        h1, m1 = combine(w, SEEN_1, n, a), combine(w, SEEN_1, n, e)
         p, q = value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
         g22, c22, d22, l2, k2 = _own(w, OWN_2, n, p, q)
-        h2, m2 = _combine(w, SEEN_2, n, p), _combine(w, SEEN_2, n, q)
+        h2, m2 = combine(w, SEEN_2, n, p), combine(w, SEEN_2, n, q)
         u0, u1, u2, u3 = _across(w, n, a)
         v0, v1, v2, v3 = _across(w, n, e)
         g12 = u0 * p[0] + u1 * p[1] + u2 * p[2] + u3 * p[3]
@@ -237,13 +237,13 @@ def _take(w, n, x0, x1, x2, gain, s1, s2, j11, j12, j22):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def propose(w, registers, last, reach, tolerance):
+def propose(w, registers, first, last, reach, tolerance):
     """The next trial of every lane, and which lanes are done.
 
     Args:
         w: scratch.
         registers: lanes in use, in multiples of REGISTER.
-        last: last position of the table.
+        first, last: positions that rates keep between.
         reach: largest step.
         tolerance: a lane is done when its expected relative gain in cost falls below this.
     """
@@ -252,8 +252,8 @@ def propose(w, registers, last, reach, tolerance):
         s1, s2 = w[SLOPE_1 * LANES + n], w[SLOPE_2 * LANES + n]
         j11, j12, j22 = w[CURVE_11 * LANES + n], w[CURVE_12 * LANES + n], w[CURVE_22 * LANES + n]
         # a rate on an end of the table that the slope pushes outwards stays there
-        move1 = (j11 > 0.0) & ((s1 > 0.0) | (x > 0.0)) & ((s1 < 0.0) | (x < last))
-        move2 = (j22 > 0.0) & ((s2 > 0.0) | (y > 0.0)) & ((s2 < 0.0) | (y < last))
+        move1 = (j11 > 0.0) & ((s1 > 0.0) | (x > first)) & ((s1 < 0.0) | (x < last))
+        move2 = (j22 > 0.0) & ((s2 > 0.0) | (y > first)) & ((s2 < 0.0) | (y < last))
         s1, j11 = (s1 if move1 else 0.0), (j11 if move1 else 0.0)
         s2, j22 = (s2 if move2 else 0.0), (j22 if move2 else 0.0)
         j12 = j12 if move1 & move2 else 0.0
@@ -269,14 +269,14 @@ def propose(w, registers, last, reach, tolerance):
         largest = max(abs(t1), abs(t2))
         shrink = reach / largest if largest > reach else 1.0
         p, q = x + t1 * shrink, y + t2 * shrink
-        cut1, cut2 = (p < 0.0) | (p > last), (q < 0.0) | (q > last)
-        p, q = min(max(p, 0.0), last), min(max(q, 0.0), last)
+        cut1, cut2 = (p < first) | (p > last), (q < first) | (q > last)
+        p, q = min(max(p, first), last), min(max(q, first), last)
         # At an end of the interval one rate stops there and the other takes its best step beside it.
         beside1 = min(max((s1 - j12 * (q - y)) / m11, -reach), reach)
         beside2 = min(max((s2 - j12 * (p - x)) / m22, -reach), reach)
         change1, change2 = cut2 & move1, cut1 & move2 & (not (cut2 & move1))
-        p = min(max(x + beside1, 0.0), last) if change1 else p
-        q = min(max(y + beside2, 0.0), last) if change2 else q
+        p = min(max(x + beside1, first), last) if change1 else p
+        q = min(max(y + beside2, first), last) if change2 else q
         t1, t2 = p - x, q - y
         expected = 2.0 * (s1 * t1 + s2 * t2) - (j11 * t1 * t1 + 2.0 * j12 * t1 * t2 + j22 * t2 * t2)
         whole = w[SIZE * LANES + n]
@@ -288,6 +288,18 @@ def propose(w, registers, last, reach, tolerance):
         w[EXPECTED * LANES + n] = expected
         w[DONE * LANES + n] = 1.0 if done else 0.0
         w[STEPS * LANES + n] = steps if done else steps + 1.0
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def weights_1(w, n):
+    """Value and slope weights of the first exponential."""
+    return value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def weights_2(w, n):
+    """Of the second."""
+    return value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)

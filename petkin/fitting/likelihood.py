@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
-from petkin.fitting.bounded import polish
+from petkin.fitting.explicit import polish
 from petkin.fitting.nonlinear import NonlinearSettings
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import FitResult

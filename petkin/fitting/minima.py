@@ -79,7 +79,7 @@ def _minima(packed: Compression, z: Array, sizes: Array, settings: NonlinearSett
     model, box = settings.model, settings.box
     curve, starts = _starts(packed, z, settings)
     theta, cost, converged = fit_in_box(
-        model, packed, z[:, curve], sizes[curve], starts, box, starts=0, tolerance=1e-10
+        model, packed, z[:, curve], sizes[curve], starts, box, (0.0, np.inf), starts=0, tolerance=1e-10, explicit=True
     )
     with np.errstate(all="ignore"):
         values = np.asarray(model.macros[0].formula(*theta[:, : model.rates].T))

@@ -96,7 +96,7 @@ def _own_products(w, n, a, e, f):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def step(w, has_axis, trap_lean, trap_size, last, tolerance, trapped, signed):
+def step(w, has_axis, trap_lean, trap_size, first, last, tolerance, trapped, signed):
     """Evaluate every trial; where it gains, take it and propose the next by Newton's rule.
 
     With the columns at work projected out, the gain is h^2 / g, g = b.b, h = b.z; x1 = h / g.
@@ -144,11 +144,11 @@ def step(w, has_axis, trap_lean, trap_size, last, tolerance, trapped, signed):
         rise = h1 - x1 * g1
         change = (rise - x1 * g1) / g
         bend = -change * rise - x1 * (h2 - change * g1 - x1 * g2)
-        _take(w, n, trial, x0, x1, x2, gain, x1 * rise, bend, last, tolerance)
+        _take(w, n, trial, x0, x1, x2, gain, x1 * rise, bend, first, last, tolerance)
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _take(w, n, trial, x0, x1, x2, gain, slope, bend, last, tolerance):
+def _take(w, n, trial, x0, x1, x2, gain, slope, bend, first, last, tolerance):
     """Accept a trial that gains and step on from it; go a quarter of the way where it does not."""
     stage, whole = w[DONE * BLOCK + n], w[SIZE * BLOCK + n]
     better = (gain > w[GAIN * BLOCK + n]) & (stage < ENDED)
@@ -159,10 +159,10 @@ def _take(w, n, trial, x0, x1, x2, gain, slope, bend, last, tolerance):
     w[GAIN * BLOCK + n] = gain if better else w[GAIN * BLOCK + n]
     here = w[POSITION * BLOCK + n]
     newton = min(max(slope / bend, -_REACH), _REACH) if bend > 0.0 else (1.0 if slope > 0.0 else -1.0)
-    onward = min(max(here + newton, 0.0), last)
+    onward = min(max(here + newton, first), last)
     step = onward - here
     small = slope * step <= tolerance * max(whole - gain, 1e-12 * whole)
-    small = small & (bend > 0.0) & (onward > 0.0) & (onward < last)
+    small = small & (bend > 0.0) & (onward > first) & (onward < last)
     back = 0.25 * (trial - here)
     steps = w[STEPS * BLOCK + n] + 1.0
     stuck = (step == 0.0) | (x1 == 0.0) if better else abs(back) < _NEAR

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
 from petkin.errors import InputError
-from petkin.fitting.bounded import ON_BOUND, fit_in_box
+from petkin.fitting.bounded import fit_in_box
+from petkin.fitting.box import ON_BOUND
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.kernel import Tables
 from petkin.fitting.one_rate import OneRateTables
@@ -154,17 +155,12 @@ def _fit_shared(
     """Curves that share their weights: the free optimum of all, bounded fits of those that leave the box, a summary."""
     frames = _readable(curves).T
     best = Optimum.of(len(settings.model.parameters), len(settings.model.macros), len(curves))
-    blood = takes_blood(settings.box)
-    tables = (
-        wall_tables(packed, settings.rate_bounds[0], blood=blood)
-        if settings.model.wall
-        else search_tables(settings.model, packed, settings.effort, blood=blood)
-    )
+    tables = _tables(packed, settings)
 
     def fit(rows: slice) -> _Left:
         z, sizes, best.finite[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
         best.signal[rows] = best.finite[rows] & (packed.basis.sum(axis=0) @ z > 0)
-        outside = _free_optimum(z, sizes, rows, best, tables, settings)
+        outside = _free_optimum(z, sizes, rows, best, packed.blood, tables, settings)
         chosen = np.flatnonzero(outside | settings.effort.refine)
         return _Left(rows.start + chosen, z[:, chosen], sizes[chosen], outside[chosen])
 
@@ -188,6 +184,22 @@ def takes_blood(box: ParameterSet) -> bool:
     return vB.upper > 0 and not (vB.fixed and vB.start == 0)
 
 
+def _tables(packed: Compression, settings: NonlinearSettings) -> SearchTables:
+    vB = settings.box["vB"]
+    if settings.model.wall:
+        return wall_tables(packed, settings.rate_bounds[0], blood=takes_blood(settings.box))
+    # A blood volume that is fixed is taken off beforehand.
+    blood = vB.upper > 0 and not vB.fixed
+    return search_tables(settings.model, packed, settings.effort, blood=blood, rates=settings.rate_bounds)
+
+
+def _without_blood(z: Array, sizes: Array, vB: float, blood: float) -> tuple[Array, Array]:
+    """Curves and their sums of squares without vB C_B, which lies along the first axis."""
+    off = z.copy()
+    off[0] -= vB * blood
+    return off, sizes - vB * blood * (z[0] + off[0])
+
+
 @dataclass(frozen=True)
 class _Left:
     """Curves that need more than the free search: which, compressed, and whether their optimum left the box."""
@@ -199,12 +211,21 @@ class _Left:
 
 
 def _free_optimum(
-    z: Array, sizes: Array, rows: slice, best: Optimum, tables: SearchTables, settings: NonlinearSettings
+    z: Array,
+    sizes: Array,
+    rows: slice,
+    best: Optimum,
+    blood: float,
+    tables: SearchTables,
+    settings: NonlinearSettings,
 ) -> NDArray[np.bool_]:
     """Fill in the free optimum of some curves; which of them lies outside the box."""
-    model, box = settings.model, settings.box
+    model, box, vB = settings.model, settings.box, settings.box["vB"]
     if isinstance(tables, WallTables):
         found = search_beside_wall(model, tables, z, sizes, settings.effort)
+    elif vB.fixed:
+        found = search_among(model, tables, *_without_blood(z, sizes, vB.start, blood), settings.effort)
+        found = replace(found, phi=found.phi / (1.0 - vB.start), vB=np.full_like(found.vB, vB.start))
     else:
         found = search_among(model, tables, z, sizes, settings.effort)
     with np.errstate(all="ignore"):
@@ -242,22 +263,13 @@ def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: N
                 sizes[part],
                 best.theta[:, here].T,
                 settings.box,
+                settings.rate_bounds,
                 starts=starts,
                 tolerance=tolerance,
+                explicit=settings.effort.refine,
             )
-            kept = slice(None) if starts else inside_table(theta, packed, settings)
-            here = here[kept]
-            best.theta[:, here], best.converged[here] = theta[kept].T, converged[kept]
-            best.cost[here] = np.maximum(cost, np.finfo(np.float64).eps * sizes[part])[kept]
-
-
-def inside_table(theta: Array, packed: Compression, settings: NonlinearSettings) -> NDArray[np.bool_]:
-    """Whether all rates lie in the table: the box alone lets one slip below the slowest, where nothing is tabulated."""
-    rates = np.stack([rate for _, rate in settings.model.impulse(*theta[:, : settings.model.rates].T)], axis=1)
-    slowest, fastest = packed.rates[[0, -1]]
-    if settings.model.wall:  # whose own column makes the table begin at 0
-        slowest = settings.rate_bounds[0]
-    return ((rates >= slowest - 1e-12) & (rates <= fastest + 1e-9)).all(axis=1)
+            best.theta[:, here], best.converged[here] = theta.T, converged
+            best.cost[here] = np.maximum(cost, np.finfo(np.float64).eps * sizes[part])
 
 
 def _chunks(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:

@@ -34,7 +34,7 @@ _ROUNDING = 1e-16
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _column(w, q, n, axis):
+def column(w, q, n, axis):
     """A parameter's column in the five vectors."""
     k = (COLUMN + 5 * q) * LANES + n
     moved_1 = w[k + 2 * LANES] * w[X1 * LANES + n] * w[SPEED_1 * LANES + n]
@@ -43,7 +43,7 @@ def _column(w, q, n, axis):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _apply(g, c):
+def apply(g, c):
     """G c; G = (l1, k1, l2, k2 on the axis, then rows of the rest's upper triangle)."""
     l1, k1, l2, k2, g11, c11, g12, c21, d11, c12, d12, g22, c22, d22 = g
     return (
@@ -56,7 +56,7 @@ def _apply(g, c):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _dot(a, b):
+def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4]
 
 
@@ -78,7 +78,7 @@ def _terms(g, c, scale):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _sweep(a, steepest):
+def sweep(a, steepest):
     """Gauss-Jordan on the first variable of a symmetric 5 x 5 (lower triangle by columns), which then goes last.
 
     Five of them leave minus the inverse in the first order.
@@ -111,37 +111,37 @@ def invert(w, axis):
     """Inverse of C^T G C from the gathered rows and the columns, and its relative error by cancellation."""
     for n in range(LANES):
         g = lanes.inner_products(w, n)
-        c0, c1, c2 = _column(w, 0, n, axis), _column(w, 1, n, axis), _column(w, 2, n, axis)
-        c3, c4 = _column(w, 3, n, axis), _column(w, 4, n, axis)
+        c0, c1, c2 = column(w, 0, n, axis), column(w, 1, n, axis), column(w, 2, n, axis)
+        c3, c4 = column(w, 3, n, axis), column(w, 4, n, axis)
         curve = (w[X0 * LANES + n] * axis, w[X1 * LANES + n], 0.0, w[X2 * LANES + n], 0.0)
-        square = _dot(_apply(g, curve), curve)
-        s0, s1, s2, s3, s4 = _apply(g, c0), _apply(g, c1), _apply(g, c2), _apply(g, c3), _apply(g, c4)
-        f0, f1 = _scale(w, 0, n, _dot(s0, c0), square), _scale(w, 1, n, _dot(s1, c1), square)
-        f2, f3 = _scale(w, 2, n, _dot(s2, c2), square), _scale(w, 3, n, _dot(s3, c3), square)
-        f4 = _scale(w, 4, n, _dot(s4, c4), square)
+        square = dot(apply(g, curve), curve)
+        s0, s1, s2, s3, s4 = apply(g, c0), apply(g, c1), apply(g, c2), apply(g, c3), apply(g, c4)
+        f0, f1 = _scale(w, 0, n, dot(s0, c0), square), _scale(w, 1, n, dot(s1, c1), square)
+        f2, f3 = _scale(w, 2, n, dot(s2, c2), square), _scale(w, 3, n, dot(s3, c3), square)
+        f4 = _scale(w, 4, n, dot(s4, c4), square)
         a = (
             1.0,
-            _scaled(_dot(s0, c1), f0 * f1),
-            _scaled(_dot(s0, c2), f0 * f2),
-            _scaled(_dot(s0, c3), f0 * f3),
-            _scaled(_dot(s0, c4), f0 * f4),
+            _scaled(dot(s0, c1), f0 * f1),
+            _scaled(dot(s0, c2), f0 * f2),
+            _scaled(dot(s0, c3), f0 * f3),
+            _scaled(dot(s0, c4), f0 * f4),
             1.0,
-            _scaled(_dot(s1, c2), f1 * f2),
-            _scaled(_dot(s1, c3), f1 * f3),
-            _scaled(_dot(s1, c4), f1 * f4),
+            _scaled(dot(s1, c2), f1 * f2),
+            _scaled(dot(s1, c3), f1 * f3),
+            _scaled(dot(s1, c4), f1 * f4),
             1.0,
-            _scaled(_dot(s2, c3), f2 * f3),
-            _scaled(_dot(s2, c4), f2 * f4),
+            _scaled(dot(s2, c3), f2 * f3),
+            _scaled(dot(s2, c4), f2 * f4),
             1.0,
-            _scaled(_dot(s3, c4), f3 * f4),
+            _scaled(dot(s3, c4), f3 * f4),
             1.0,
         )
         steepest = 0.0
-        a, steepest = _sweep(a, steepest)
-        a, steepest = _sweep(a, steepest)
-        a, steepest = _sweep(a, steepest)
-        a, steepest = _sweep(a, steepest)
-        a, steepest = _sweep(a, steepest)
+        a, steepest = sweep(a, steepest)
+        a, steepest = sweep(a, steepest)
+        a, steepest = sweep(a, steepest)
+        a, steepest = sweep(a, steepest)
+        a, steepest = sweep(a, steepest)
         _store(w, n, a, f0, f1, f2, f3, f4)
         worst = max(_terms(g, c0, f0), _terms(g, c1, f1), _terms(g, c2, f2), _terms(g, c3, f3), _terms(g, c4, f4))
         w[LOST * LANES + n] = _ROUNDING * worst * steepest
@@ -216,14 +216,14 @@ def _read_vectors(rows, position, value, slope):
 
 
 @njit(cache=True, error_model="numpy")
-def _combine(w, q, n, axis, vectors, column):
+def _combine(w, q, n, axis, vectors, there):
     """A parameter's column at unit length, zero where it is cut loose; its scale from the column itself."""
-    c = _column(w, q, n, axis)
+    c = column(w, q, n, axis)
     k = (SCALE + q) * LANES + n
-    for r in range(len(column)):
-        column[r] = 0.0
+    for r in range(len(there)):
+        there[r] = 0.0
         if w[k] > 0.0:
-            column[r] = (
+            there[r] = (
                 c[0] * vectors[0, r]
                 + c[1] * vectors[1, r]
                 + c[2] * vectors[2, r]
@@ -231,5 +231,5 @@ def _combine(w, q, n, axis, vectors, column):
                 + c[4] * vectors[4, r]
             )
     if w[k] > 0.0:
-        w[k] = 1.0 / np.sqrt(np.sum(column * column))
-        column *= w[k]
+        w[k] = 1.0 / np.sqrt(np.sum(there * there))
+        there *= w[k]

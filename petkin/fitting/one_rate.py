@@ -46,34 +46,43 @@ class OneRateTables(NamedTuple):
     Args:
         axis: length of the shared column along the first coordinate; 0 leaves it out.
         low, spacing: of the nodes in u.
+        first, last: positions that the free rate keeps between.
         rows: b and db/dx of every node, as columns (R, 2 nodes).
         own: see `InnerProducts`.
         trap: rows on b(0) (2 nodes,).
-        scanned: unit atoms of every other node, off the axis (C, R), single precision.
+        node: the first that is scanned; then every other.
+        scanned: unit atoms there, off the axis (C, R), single precision.
         lead: their lean on the axis (C,).
-        near: their lean on that of the first node (C,).
+        near: their lean on b(0), which is the first of them where that takes part (C,).
     """
 
     axis: float
     low: float
     spacing: float
+    first: float
+    last: float
     rows: Array
     own: Array
     trap: Array
+    node: int
     scanned: NDArray[np.float32]
     lead: NDArray[np.float32]
     near: NDArray[np.float32]
 
 
-def one_rate_tables(packed: Compression, *, axis: bool = True) -> OneRateTables:
+def one_rate_tables(
+    packed: Compression, *, axis: bool = True, rates: tuple[float, float] = (0.0, np.inf)
+) -> OneRateTables:
     """Tables for `search_one_rate`.
 
     Args:
         packed: compressed table; for `TRAPPED` its first node must be a = 0.
         axis: whether the column along the first coordinate takes part.
+        rates: interval of the free rate, 1/min; the table's where that is narrower.
     """
     products = packed.products
-    atoms = packed.basis[::2].copy()
+    first, last = packed.positions(rates)
+    atoms = packed.basis[int(np.ceil(first)) : int(last) + 1 : 2].copy()
     lead = atoms[:, 0].copy()
     if axis:
         atoms[:, 0] = 0.0
@@ -83,9 +92,12 @@ def one_rate_tables(packed: Compression, *, axis: bool = True) -> OneRateTables:
         packed.blood if axis else 0.0,
         products.low,
         products.spacing,
+        first,
+        last,
         products.rows,
         products.own,
         products.gram[:, 0].copy(),
+        int(np.ceil(first)),
         atoms.astype(np.float32),
         (lead / length).astype(np.float32),
         (atoms @ atoms[0]).astype(np.float32),
@@ -121,24 +133,23 @@ def search_one_rate(tables: OneRateTables, z: Array, sizes: Array, kind: int, *,
 @njit(cache=True, nogil=True, error_model="numpy")
 def _search(z, sizes, tables, scratch, kind, tolerance, answer):
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
-    axis, low, spacing, rows, own, trap, scanned, lead, near = tables
+    axis, low, spacing, first, last, rows, own, trap, node, scanned, lead, near = tables
     scaled, along, scores, best, work = scratch
-    last = float(own.shape[0])
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
         scale(z, sizes, start, size, scaled)
         project(scanned, scaled, along)
         score(scaled, along, lead, near, kind, axis > 0.0, scores, best)
-        _start(z, sizes, rows, axis > 0.0, scores, best, start, size, last, work)
+        _start(z, sizes, rows, axis > 0.0, scores, best, start, size, node, first, last, work)
         left = size
         while left > 0:
             newton.gather(z, rows, own, trap, start, size, work)
             if kind == TRAPPED:
-                newton.step(work, axis > 0.0, rows[0, 0], trap[0], last, tolerance, True, False)
+                newton.step(work, axis > 0.0, rows[0, 0], trap[0], first, last, tolerance, True, False)
             elif kind == SIGNED:
-                newton.step(work, axis > 0.0, 0.0, 0.0, last, tolerance, False, True)
+                newton.step(work, axis > 0.0, 0.0, 0.0, first, last, tolerance, False, True)
             else:
-                newton.step(work, axis > 0.0, 0.0, 0.0, last, tolerance, False, False)
+                newton.step(work, axis > 0.0, 0.0, 0.0, first, last, tolerance, False, False)
             left = 0
             for n in range(size):
                 left += work[newton.DONE * BLOCK + n] < newton.ENDED
@@ -146,7 +157,7 @@ def _search(z, sizes, tables, scratch, kind, tolerance, answer):
 
 
 @njit(cache=True, error_model="numpy")
-def _start(z, sizes, rows, has_axis, scores, best, start, size, last, work):
+def _start(z, sizes, rows, has_axis, scores, best, start, size, node, first, last, work):
     """The first trial: the top of the parabola through the best node and its neighbours."""
     for row in range(newton.OWN):
         for n in range(BLOCK):
@@ -158,7 +169,7 @@ def _start(z, sizes, rows, has_axis, scores, best, start, size, last, work):
             below, here, above = float(scores[i - 1, n]), float(scores[i, n]), float(scores[i + 1, n])
             bend = 2.0 * here - below - above
             offset = (above - below) / bend if bend > 0.0 else 0.0  # in nodes, two between scanned ones
-        work[newton.TRIAL * BLOCK + n] = min(max(2.0 * i + offset, 0.0), last)
+        work[newton.TRIAL * BLOCK + n] = min(max(node + 2.0 * i + offset, first), last)
         work[newton.CELL * BLOCK + n] = -1.0
         work[newton.GAIN * BLOCK + n] = -1.0
         work[newton.SIZE * BLOCK + n] = sizes[start + n]

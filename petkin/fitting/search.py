@@ -93,13 +93,19 @@ def search_among(
 
 
 def search_tables(
-    model: CompartmentModel, packed: Compression, effort: Effort, *, blood: bool
+    model: CompartmentModel,
+    packed: Compression,
+    effort: Effort,
+    *,
+    blood: bool,
+    rates: tuple[float, float] = (0.0, np.inf),
 ) -> kernel.Tables | OneRateTables:
-    """What the compiled search reads of a compressed table."""
+    """What the compiled search reads of a compressed table; free rates keep between `rates` (1/min)."""
     if model.free_rates == 1:
-        return one_rate_tables(packed, axis=blood)
+        return one_rate_tables(packed, axis=blood, rates=(0.0 if model.trapping else rates[0], rates[1]))
     products = packed.products
-    coarse = np.unique(np.linspace(0, len(packed.u) - 1, effort.coarse).round().astype(np.int64))
+    first, last = packed.positions(rates)
+    coarse = np.unique(np.linspace(np.ceil(first), np.floor(last), effort.coarse).round().astype(np.int64))
     lengths = np.linalg.norm(packed.basis[coarse], axis=1)
     # The look-up only says where to start: single precision does.
     atoms, lead = _off_blood(packed.basis[coarse], blood=blood)
@@ -107,6 +113,8 @@ def search_tables(
         blood=packed.blood if blood else 0.0,
         low=products.low,
         spacing=products.spacing,
+        first=first,
+        last=last,
         rows=products.rows,
         gram=products.gram,
         own=products.own,

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
 from petkin.errors import InputError
-from petkin.fitting.bounded import best_polish
 from petkin.fitting.curves import finite_curves
+from petkin.fitting.explicit import best_polish
 from petkin.fitting.nonlinear import NonlinearSettings, fit_curves
 from petkin.fitting.results import Estimate, FitResult, Plot, Status
 from petkin.fitting.search import REGIONS

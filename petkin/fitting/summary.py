@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
-from petkin.fitting.bounded import ON_BOUND
+from petkin.fitting.box import ON_BOUND
 from petkin.fitting.covariance import Limits, model_errors
 from petkin.fitting.dense import dense_errors
 from petkin.fitting.parts import in_parts

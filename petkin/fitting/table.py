@@ -31,6 +31,9 @@ RATE_OFFSET = 1e-3
 _ONE_SIDED = np.array([-137.0 / 60.0, 5.0, -5.0, 10.0 / 3.0, -5.0 / 4.0, 1.0 / 5.0])
 _STEP = 0.01
 
+#: Share of a spacing below which two positions are the same.
+_ROUNDING = 1e-9
+
 Array = NDArray[np.float64]
 
 
@@ -160,6 +163,13 @@ class Compression:
     def rates(self) -> Array:
         """Rates at the nodes, 1/min."""
         return np.exp(self.u) - RATE_OFFSET
+
+    def positions(self, rates: tuple[float, float]) -> tuple[float, float]:
+        """The ends of an interval of rates (1/min) inside the table, counted in nodes."""
+        low, spacing, last = float(self.u[0]), float(self.u[1] - self.u[0]), len(self.u) - 1.0
+        first, final = ((float(log_rate(rate)) - low) / spacing for rate in rates)
+        # An end that is a node but for rounding is that node.
+        return max(first, 0.0) if first > _ROUNDING else 0.0, final if final < last - _ROUNDING else last
 
     @cached_property
     def products(self) -> InnerProducts:

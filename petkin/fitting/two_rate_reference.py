@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
-from petkin.fitting.bounded import ON_BOUND, best_polish
+from petkin.fitting.box import ON_BOUND
+from petkin.fitting.explicit import best_polish
 from petkin.fitting.one_rate_fit import frame_values, frames_first
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Estimate, FitResult, Status

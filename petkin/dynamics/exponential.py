@@ -17,14 +17,12 @@ import math
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import njit
 from torch import Tensor
 
 #: Below this spread (p_max - p_min) t the Taylor series is used, above it the recursion; both hold 1e-14 there.
 _SERIES_SPREAD = 1.0
 _SERIES_TERMS = 18
-#: Rows that one thread takes at a time.
-_BLOCK = 512
 
 
 def exp_divided_difference(points: tuple[Tensor | float, ...], t: Tensor) -> Tensor:
@@ -104,22 +102,21 @@ def _rate_of_change(points: Tensor, t: Tensor, value: Tensor) -> Tensor:
     return last * value + exp_divided_difference(tuple(others), t)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def divided_differences(points, t):
     """exp[points[n]](t[n]) for every row of points (N, m), float64."""
     count, m = points.shape
     answer = np.empty(count)
-    for block in prange((count + _BLOCK - 1) // _BLOCK):
-        p, table, offsets, rows = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
-        for n in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
-            for i in range(m):  # insertion sort, ascending
-                value = points[n, i]
-                j = i
-                while j > 0 and p[j - 1] > value:
-                    p[j] = p[j - 1]
-                    j -= 1
-                p[j] = value
-            answer[n] = _one(p, t[n], table, offsets, rows)
+    p, table, offsets, rows = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    for n in range(count):
+        for i in range(m):  # insertion sort, ascending
+            value = points[n, i]
+            j = i
+            while j > 0 and p[j - 1] > value:
+                p[j] = p[j - 1]
+                j -= 1
+            p[j] = value
+        answer[n] = _one(p, t[n], table, offsets, rows)
     return answer
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from jaxtyping import Float
-from numba import njit, prange
+from numba import njit
 from torch import Tensor
 
 
@@ -63,11 +63,11 @@ class _Compiled(torch.autograd.Function):
         return linear_recurrence(factors, tangents[0] * states[..., :-1] + tangents[1])
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _walk(factors, values):
     rows, n = values.shape
     answer = np.empty((rows, n + 1))
-    for row in prange(rows):
+    for row in range(rows):
         state = 0.0
         answer[row, 0] = 0.0
         for i in range(n):

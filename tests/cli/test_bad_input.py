@@ -185,7 +185,7 @@ OPTIONS: dict[str, tuple[list[object], tuple[str, ...]]] = {
     "rates": (["--rates", "5:1"], ("Rates from 5 to 1 per min are no interval",)),
     "rates-one": (["--rates", "5"], ("--rates '5'", "LOWER:UPPER")),
     "t-star": (["--model", "Logan", "--t-star", "44"], ("lie after t* = 44 min", "choose an earlier --t-star")),
-    "t-star-nan": (["--t-star", "nan"], ("--t-star is nan",)),
+    "t-star-nan": (["--t-star", "nan"], ("--t-star 'nan'", "not a finite number")),
     "weights": (["--weights", "uniform"], ("--weights 'uniform'", "counting or constant")),
     "observation": (["--observation", "end"], ("--observation is 'end'",)),
     "parent-fraction": (["--parent-fraction", "spline"], ("--parent-fraction is 'spline'", "hill")),

@@ -52,7 +52,7 @@ class OneRateTables(NamedTuple):
         trap: rows on b(0) (2 nodes,).
         node: the first that is scanned; then every other.
         scanned: unit atoms there, off the axis (C, R), single precision.
-        lead: their lean on the axis (C,).
+        lead: their lean on the axis (C,), 0 without it.
         near: their lean on b(0), which is the first of them where that takes part (C,).
     """
 
@@ -83,7 +83,7 @@ def one_rate_tables(
     products = packed.products
     first, last = packed.positions(rates)
     atoms = packed.basis[int(np.ceil(first)) : int(last) + 1 : 2].copy()
-    lead = atoms[:, 0].copy()
+    lead = atoms[:, 0].copy() if axis else np.zeros(len(atoms))
     if axis:
         atoms[:, 0] = 0.0
     length = np.linalg.norm(atoms, axis=1)

@@ -191,6 +191,14 @@ def fit(
         str,
         typer.Option(help="Address of a dask scheduler that you trust, e.g. tcp://head:8786.", rich_help_panel=_RUN),
     ] = "",
+    device: Annotated[
+        str | None,
+        typer.Option(
+            help="Where torch searches voxels of 1TCM, 2TCM and 2TCM3k, e.g. cuda; equal within rounding. "
+            "Default: compiled code on the CPU.",
+            rich_help_panel=_RUN,
+        ),
+    ] = None,
     again: Annotated[
         bool, typer.Option("--again", "--force", help="Fit scans again that are finished.", rich_help_panel=_RUN)
     ] = False,
@@ -254,6 +262,7 @@ def fit(
         window=None if window is None else interval(window, option="--window"),
         share=tuple(dict.fromkeys(s for s in share or () if s != DELAY)),
         certify=certify,
+        device=device,
     )
     request = FitRequest(
         target=target,
@@ -288,7 +297,9 @@ def fit(
         psf=psf,
         profiles=regions_and_symbols(profile or []),
         bootstrap=None if bootstrap is None else Resampling(bootstrap, seed),
-        command_line=typed_command(without=("--memory", "--workers", "--scheduler"), flags=("--again", "--force")),
+        command_line=typed_command(
+            without=("--memory", "--workers", "--scheduler", "--device"), flags=("--again", "--force")
+        ),
     )
     execution = Execution(memory_size(memory) if memory else None, workers, scheduler, again)
     with progress_bar() as step:

@@ -4,6 +4,7 @@ from petkin.fitting.bootstrap import Resampling
 from petkin.fitting.choice import agreement, compare_models
 from petkin.fitting.choices import Choices
 from petkin.fitting.delay import Delay, estimate_delay
+from petkin.fitting.device_tables import find_device
 from petkin.fitting.given import Given, Need, ReferenceCurve
 from petkin.fitting.nonlinear import NonlinearSettings, fit_curves, tabulate
 from petkin.fitting.results import Column, Estimate, FitResult, Plot, Status, undetermined
@@ -33,6 +34,7 @@ __all__ = [
     "compare_models",
     "counting_weights",
     "estimate_delay",
+    "find_device",
     "fit_curves",
     "fit_shared",
     "looked_into",

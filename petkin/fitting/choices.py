@@ -20,6 +20,7 @@ class Choices:
         window: start and end of the time that uptake values are averaged over, min; None: from t* to the end.
         share: symbols that all regions of a scan have in common.
         certify: whether voxels too are proven to be near the best of all fits, where the method can.
+        device: where torch searches voxels of compartment models, e.g. "cuda"; None for compiled code on the CPU.
     """
 
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -29,3 +30,4 @@ class Choices:
     window: tuple[float, float] | None = None
     share: tuple[str, ...] = ()
     certify: bool = False
+    device: str | None = None

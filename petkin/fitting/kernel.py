@@ -30,9 +30,9 @@ BLOCK = 128
 U1, U2, X0, X1, X2, COST, STEPS = range(7)
 
 #: Times that a curve is looked at again.
-_MOST_ROUNDS = 4
+MOST_ROUNDS = 4
 #: Largest step in u.
-_REACH = 2.0
+REACH = 2.0
 #: Columns of a curve's plan.
 _STAGE, _ROUNDS, _THIRD, _BEFORE = range(4)
 
@@ -132,7 +132,7 @@ def _search(z, sizes, tables, scratch, tolerance, again, answer):
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
     blood, low, spacing, lowest, highest, rows, gram, own, coarse, atoms, lead, near, units, lean, toward = tables
     curves, room, beside, scaled, projections, scores, chosen, work, curve, plan, found = scratch
-    reach = _REACH / spacing
+    reach = REACH / spacing
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
         _see(z, start, size, units, curves, room, beside)
@@ -291,7 +291,7 @@ def _again(out, plan, v, beside, blood, coarse, lean, toward, tolerance, again):
         return max(out[v, U2], plan[v, _THIRD]), min(out[v, U2], plan[v, _THIRD])
     if plan[v, _STAGE] > 0.0 and out[v, COST] > plan[v, _BEFORE] * (1.0 - tolerance):
         return -1.0, 0.0
-    if plan[v, _ROUNDS] == _MOST_ROUNDS:
+    if plan[v, _ROUNDS] == MOST_ROUNDS:
         return -1.0, 0.0
     first, second = _taken(out[v, U1], out[v, X1], lean, toward), _taken(out[v, U2], out[v, X2], lean, toward)
     taken = (first, second, out[v, X0] * blood)

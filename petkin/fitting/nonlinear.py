@@ -12,9 +12,11 @@ from petkin.errors import InputError
 from petkin.fitting.bounded import fit_in_box
 from petkin.fitting.box import ON_BOUND
 from petkin.fitting.curves import check_shapes
+from petkin.fitting.device_tables import DeviceTables
 from petkin.fitting.kernel import Tables
+from petkin.fitting.on_device import CHUNK
 from petkin.fitting.one_rate import OneRateTables
-from petkin.fitting.parts import in_parts
+from petkin.fitting.parts import PART, in_parts
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Estimate, FitResult
 from petkin.fitting.search import REGIONS, Effort, search_among, search_tables
@@ -28,7 +30,7 @@ from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
 
-SearchTables = Tables | OneRateTables | WallTables
+SearchTables = Tables | OneRateTables | DeviceTables | WallTables
 
 #: Slowest rate that a fit may use, 1/min: a half-life of 11.5 h, beyond what any scan can tell from none.
 SLOWEST_RATE = 1e-3
@@ -49,6 +51,8 @@ class NonlinearSettings:
         effort: `REGIONS` (to rounding) or `VOXELS` (a microsecond each).
         keep_predicted: return fitted curves.
         standard_errors: work out standard errors; without them no curve is called not identifiable.
+        device: where torch searches for the free optimum, e.g. "cuda"; None for compiled code on the CPU. Models with a
+            wall are always searched there.
     """
 
     model: CompartmentModel
@@ -57,6 +61,7 @@ class NonlinearSettings:
     effort: Effort = REGIONS
     keep_predicted: bool = True
     standard_errors: bool = True
+    device: str | None = None
 
     @property
     def box(self) -> ParameterSet:
@@ -164,7 +169,8 @@ def _fit_shared(
         chosen = np.flatnonzero(outside | settings.effort.refine)
         return _Left(rows.start + chosen, z[:, chosen], sizes[chosen], outside[chosen])
 
-    _fit_left(in_parts(fit, len(curves)), best, packed, settings)
+    part = CHUNK if isinstance(tables, DeviceTables) else PART
+    _fit_left(in_parts(fit, len(curves), part), best, packed, settings)
     best.theta[:, ~best.signal] = np.nan
     judge = Judge(settings.model, settings.box, settings.rate_bounds, packed, weights, settings.standard_errors)
     predicted = _predict(best.theta.T, packed, weights, settings) if settings.keep_predicted else None
@@ -190,7 +196,9 @@ def _tables(packed: Compression, settings: NonlinearSettings) -> SearchTables:
         return wall_tables(packed, settings.rate_bounds[0], blood=takes_blood(settings.box))
     # A blood volume that is fixed is taken off beforehand.
     blood = vB.upper > 0 and not vB.fixed
-    return search_tables(settings.model, packed, settings.effort, blood=blood, rates=settings.rate_bounds)
+    return search_tables(
+        settings.model, packed, settings.effort, blood=blood, rates=settings.rate_bounds, device=settings.device
+    )
 
 
 def _without_blood(z: Array, sizes: Array, vB: float, blood: float) -> tuple[Array, Array]:

@@ -14,13 +14,13 @@ T = TypeVar("T")
 PART = 16384
 
 
-def in_parts(work: Callable[[slice], T], count: int) -> list[T]:
-    """`work` on the slices that make up range(count), in order of the slices.
+def in_parts(work: Callable[[slice], T], count: int, size: int = PART) -> list[T]:
+    """`work` on the slices that make up range(count), `size` long, in order of the slices.
 
     The parts run on as many threads as `numba.get_num_threads` says; compiled work and numpy leave the interpreter's
     lock alone. What comes out of a curve must depend on that curve alone.
     """
-    slices = [slice(start, min(start + PART, count)) for start in range(0, count, PART)]
+    slices = [slice(start, min(start + size, count)) for start in range(0, count, size)]
     threads = min(numba.get_num_threads(), len(slices))
     if threads <= 1:
         return [work(part) for part in slices]

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.fitting import kernel
+from petkin.fitting.device_tables import DeviceTables, device_tables
 from petkin.fitting.lanes import MAX_STEPS
+from petkin.fitting.on_device import search_on_device
 from petkin.fitting.one_rate import OneRateTables, one_rate_tables, search_one_rate
 from petkin.fitting.scan import SINGLE, TRAPPED
 from petkin.fitting.table import RATE_OFFSET, Compression
@@ -75,13 +77,19 @@ def search_exponentials(
 
 
 def search_among(
-    model: CompartmentModel, tables: kernel.Tables | OneRateTables, z: Array, sizes: Array, effort: Effort
+    model: CompartmentModel,
+    tables: kernel.Tables | OneRateTables | DeviceTables,
+    z: Array,
+    sizes: Array,
+    effort: Effort,
 ) -> Exponentials:
     """The same with tables made beforehand, for curves that come in parts."""
     z, sizes = np.ascontiguousarray(z), np.ascontiguousarray(sizes)
     if isinstance(tables, OneRateTables):
         kind = TRAPPED if model.trapping else SINGLE
         found = search_one_rate(tables, z, sizes, kind, tolerance=effort.tolerance)
+    elif isinstance(tables, DeviceTables):
+        found = search_on_device(z, sizes, tables, effort.tolerance, effort.again)
     else:
         found = kernel.search(z, sizes, tables, effort.tolerance, effort.again)
     vB = np.minimum(found[kernel.X0], 1.0)
@@ -99,16 +107,22 @@ def search_tables(
     *,
     blood: bool,
     rates: tuple[float, float] = (0.0, np.inf),
-) -> kernel.Tables | OneRateTables:
-    """What the compiled search reads of a compressed table; free rates keep between `rates` (1/min)."""
-    if model.free_rates == 1:
-        return one_rate_tables(packed, axis=blood, rates=(0.0 if model.trapping else rates[0], rates[1]))
+    device: str | None = None,
+) -> kernel.Tables | OneRateTables | DeviceTables:
+    """What the search reads of a compressed table; free rates keep between `rates` (1/min); no device: compiled."""
+    one = model.free_rates == 1
+    rates = (0.0 if one and model.trapping else rates[0], rates[1])
+    if one and device is None:
+        return one_rate_tables(packed, axis=blood, rates=rates)
     products = packed.products
     first, last = packed.positions(rates)
-    coarse = np.unique(np.linspace(np.ceil(first), np.floor(last), effort.coarse).round().astype(np.int64))
+    count = int(last - np.ceil(first)) // 2 + 1 if one else effort.coarse
+    coarse = np.unique(np.linspace(np.ceil(first), np.floor(last), count).round().astype(np.int64))
     lengths = np.linalg.norm(packed.basis[coarse], axis=1)
     # The look-up only says where to start: single precision does.
     atoms, lead = _off_blood(packed.basis[coarse], blood=blood)
+    if device is not None:
+        return device_tables(model, packed, coarse, (atoms, lead), (first, last), device, blood=blood)
     return kernel.Tables(
         blood=packed.blood if blood else 0.0,
         low=products.low,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from petkin.errors import InputError
-from petkin.fitting import Choices
+from petkin.fitting import Choices, find_device
 from petkin.methods.method import Method
 
 
 def check_choices(methods: tuple[Method, ...], choices: Choices) -> None:
-    """Refuse bounds, fixed or shared values that no chosen method has, and bounds that are upside down.
+    """Refuse bounds, fixed or shared values that no chosen method has, bounds upside down, a device that is not there.
 
     Raises:
         InputError: with the symbol and what there is instead.
@@ -38,3 +38,5 @@ def check_choices(methods: tuple[Method, ...], choices: Choices) -> None:
     slow, fast = choices.rate_bounds
     if not 0 <= slow < fast:
         raise InputError(f"Rates from {slow:g} to {fast:g} per min are no interval; give e.g. 0.001:5.")
+    if choices.device is not None:
+        find_device(choices.device)

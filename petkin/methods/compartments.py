@@ -86,4 +86,5 @@ def nonlinear_settings(model: CompartmentModel, choices: Choices, voxels: bool) 
         rate_bounds=choices.rate_bounds,
         effort=VOXELS if voxels else REGIONS,
         keep_predicted=not voxels,
+        device=choices.device if voxels else None,
     )

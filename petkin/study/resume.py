@@ -28,9 +28,10 @@ from petkin.study.sources import Source
 def fingerprint(source: Source, request: FitRequest) -> str:
     """Of all that the results of a scan depend on: what was read of it, its images to the byte, the request, petkin.
 
-    Which other scans are fitted, where results go and how the command was typed do not count.
+    Which other scans are fitted, where results go, how the command was typed and on what device it runs do not count.
     """
-    asked = replace(request, target=Path(), out=None, subjects=(), sessions=(), command_line="")
+    anywhere = replace(request.choices, device=None)
+    asked = replace(request, target=Path(), out=None, subjects=(), sessions=(), command_line="", choices=anywhere)
     digest = hashlib.sha256()
     for piece in (__version__, *_pieces(asked), *_content(Path(request.weights)), *_pieces(source)):
         digest.update(piece.encode() + b"\n" if isinstance(piece, str) else piece)

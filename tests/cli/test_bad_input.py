@@ -183,6 +183,7 @@ OPTIONS: dict[str, tuple[list[object], tuple[str, ...]]] = {
     "delay-text": (["--delay", "soon"], ("--delay 'soon'",)),
     "delay-of-another-unit": (["--delay", "30000"], ("--delay is 30000 s", "give seconds")),
     "rates": (["--rates", "5:1"], ("Rates from 5 to 1 per min are no interval",)),
+    "device": (["--device", "cuda:99"], ("--device cuda:99: torch sees no such device",)),
     "rates-one": (["--rates", "5"], ("--rates '5'", "LOWER:UPPER")),
     "t-star": (["--model", "Logan", "--t-star", "44"], ("lie after t* = 44 min", "choose an earlier --t-star")),
     "t-star-nan": (["--t-star", "nan"], ("--t-star 'nan'", "not a finite number")),

@@ -404,3 +404,15 @@ def test_a_delay_from_all_regions(study: Path, petkin_command: Command) -> None:
     sidecar = json.loads((study / RESULTS / "sub-01_seg-atlas_model-1TCM_kinpar.json").read_text())
     assert abs(sidecar["InputDelay"]) < 10.0
     assert sidecar["InputDelaySE"] > 0
+
+
+def test_a_device_is_told_neither_in_sidecars_nor_to_what_is_finished(
+    study: Path, petkin_command: Callable[..., Ran]
+) -> None:
+    arguments = ["fit", study, "--level", "voxel", "--model", "2TCM"]
+    ran = petkin_command(*arguments, "--device", "cpu")
+    assert (ran.status, ran.err) == (0, "")
+    written = {path: path.stat().st_mtime_ns for path in (study / "derivatives").rglob("*") if path.is_file()}
+    assert not any("--device" in path.read_text() for path in written if path.suffix == ".json")
+    assert petkin_command(*arguments).status == 0
+    assert {path: path.stat().st_mtime_ns for path in written} == written

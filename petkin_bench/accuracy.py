@@ -25,7 +25,7 @@ _T_STAR = 30.0
 
 #: Methods that are tried on the curves of a set; the first is the model that made them.
 SETS = {
-    "rev2tcm": ("2TCM", "Logan", "MA1", "MA2", "LS2TCM"),
+    "rev2tcm": ("2TCM", "Logan", "MA1", "MA2", "LS2TCM", "SpectralAnalysis"),
     "irr2tcm": ("2TCM3k", "Patlak"),
     "1tcm": ("1TCM", "Logan", "MA1"),
     "srtm": ("SRTM", "SRTM2", "FRTM", "MRTM1", "MRTM2", "LoganRef"),

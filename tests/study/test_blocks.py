@@ -101,7 +101,7 @@ def test_a_plan_keeps_to_its_memory(tmp_path: Path, problem) -> None:
         assert million.on_disk
         assert million.block % 16384 == 0
         assert 8 * 26 * million.block < free_memory()
-        with pytest.raises(InputError, match=r"--memory 0\.05G is too little .*; give at least 0\.\d\dG"):
+        with pytest.raises(InputError, match=r"--memory 0\.05G is too little .*; give at least \d+\.\d\dG"):
             Resources(GB // 20, scratch).plan(series, 40, 1)
 
 

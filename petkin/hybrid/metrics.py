@@ -68,7 +68,6 @@ def _one(
     if physics:
         row["mse_cp"] = float(((found.physics - truth[:, None, list(physics)]) ** 2).mean())
     if task.residual is not None and task.missing is not None:
-        known = found.physics if task.known is not None else found.physics.detach()
-        learned = model.residual(found.code, states, known)
+        learned = model.residual(found.code, states, found.physics)
         row["mse_f"] = float(((learned - task.missing(states, truth[:, None, None])) ** 2).mean())
     return row

@@ -91,12 +91,14 @@ class Identifier(nn.Module):
         if self.task.residual is None:
             assert self.task.known is not None
             return self.task.known
-        weights = self.hyper(code) if self.hyper is not None else self._everywhere(code.ndim - 1)
-        return HybridField(self.task.known, self.task.residual, weights)
+        return HybridField(self.task.known, self.task.residual, self._weights(code))
 
-    def _everywhere(self, axes: int) -> Tensor:
+    def _weights(self, code: Float[Tensor, "*b q"]) -> Float[Tensor, "W ..."]:
+        """Weights of f_NN: as the hypernetwork writes them, or the same for all."""
+        if self.hyper is not None:
+            return self.hyper(code)
         assert self.weights is not None
-        return self.weights.reshape(-1, *[1] * axes)
+        return self.weights.reshape(-1, *[1] * (code.ndim - 1))
 
     def predict(self, found: Encoded, times: Float[Tensor, " T"] | None = None) -> Float[Tensor, "*b T d"]:
         """States at the task's times (or at others) from initial states, parameters and codes."""
@@ -113,7 +115,6 @@ class Identifier(nn.Module):
         """
         if self.task.residual is None:
             raise ValueError(f"{self.task.name} has no residual.")
-        weights = self.hyper(code) if self.hyper is not None else self._everywhere(code.ndim - 1)
-        layers = self.task.residual.network.layers(weights[..., None])
+        layers = self.task.residual.network.layers(self._weights(code)[..., None])
         seen = physics[..., None, :].expand(*states.shape[:-1], -1)
         return self.task.residual.value(layers, states, None, seen)

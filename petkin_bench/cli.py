@@ -113,18 +113,25 @@ def run(
     preset: Annotated[str, typer.Option(help="tiny, cpu or paper.")] = "cpu",
     seeds: Annotated[int, typer.Option(help="Runs a row, seeds 0, 1, ...", min=1)] = 1,
     dynamics: Annotated[str | None, typer.Option(help="Only this way of modelling, e.g. meta_hylad.")] = None,
+    episodes: Annotated[
+        int, typer.Option(help="Episodes a step, shared by torchrun's processes; 0 for one a process.", min=0)
+    ] = 0,
     work: Annotated[Path, typer.Option(help="Folder of the checkpoints.")] = Path("bench-runs"),
     results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
 ) -> None:
     """Train and measure the models of a table; what has its rows is not done again, what was stopped goes on.
 
+    `torchrun --nproc-per-node N -m petkin_bench run ...` trains each model with N processes.
+
     Rows are appended to learning.csv. `petkin-bench tables` prints them beside the published ones.
     """
+    from contextlib import nullcontext
     from functools import partial
 
     import torch
 
     from petkin.cli.progress import progress_bar
+    from petkin.hybrid import place, processes
     from petkin_bench.protocol import find_preset, jobs
     from petkin_bench.provenance import RESULTS
     from petkin_bench.training import done, key, run_job
@@ -132,13 +139,18 @@ def run(
     torch.set_num_threads(1)
     folder, chosen = results or RESULTS, find_preset(preset)
     planned = [job for job in jobs(table, system, seeds) if dynamics in (None, job.dynamics)]
-    left = [job for job in planned if key(job, chosen) not in done(folder)]
-    typer.echo(f"{len(planned)} runs, {len(planned) - len(left)} of them done.")
-    for job in left:
-        with progress_bar() as step:
-            rows = run_job(job, chosen, work=work, results=folder, progress=partial(step, job.label))
-        for row in rows:
-            typer.echo(f"{job.label} {row['split']} {row['test']}: MSE x {row['mse_x']:.3g}, z {row['mse_z']:.3g}")
+    finished = done(folder)
+    left = [job for job in planned if key(job, chosen) not in finished]
+    with processes() as count:
+        first = place()[0] == 0
+        if first:
+            typer.echo(f"{len(planned)} runs, {len(planned) - len(left)} of them done.")
+        for job in left:
+            with progress_bar() if first else nullcontext(lambda label, share: None) as step:
+                told, shared = partial(step, job.label), episodes or count
+                rows = run_job(job, chosen, work=work, results=folder, progress=told, episodes=shared)
+            for row in rows:
+                typer.echo(f"{job.label} {row['split']} {row['test']}: MSE x {row['mse_x']:.3g}, z {row['mse_z']:.3g}")
 
 
 @app.command()

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pandas as pd
 
-from petkin.hybrid import find_strategy, measure, train
+from petkin.hybrid import find_strategy, measure, place, train
 from petkin_bench.protocol import Job, Preset, build, counts, settings_of
 from petkin_bench.provenance import RESULTS, append_rows
 from petkin_bench.systems import draw, find_system
 
-_SEED_TRAIN, _SEED_TEST = 1, 2
+_SEED_TRAIN, _SEED_TEST, _SEED_VALIDATION = 1, 2, 4
+#: Dynamics x starts that a run is checked on, where its settings ask for it.
+_VALIDATION = (24, 8)
 _KEY = ("table", "system", "dynamics", "strategy", "k_train", "seed", "preset")
 
 
@@ -25,17 +27,19 @@ def run_job(
     work: Path,
     results: Path = RESULTS,
     progress: Callable[[float], None] = lambda share: None,
+    episodes: int = 1,
 ) -> list[dict[str, object]]:
     """Train one model, measure it on both test sets, append the rows.
 
     Args:
         job: what to train.
         preset: how.
-        work: folder for checkpoints: a run that was stopped goes on.
+        work: folder for checkpoints, from which a stopped run goes on, and for logs of the losses.
         results: folder of the result files.
         progress: told the share that is done.
+        episodes: of a step, shared by the processes that torchrun started; the first measures and keeps the rows.
     """
-    physics, settings = find_system(job.system), settings_of(job, preset)
+    physics, settings = find_system(job.system), replace(settings_of(job, preset), episodes=episodes)
     data = draw(physics, *counts(physics, preset), seed=_SEED_TRAIN)
     checkpoint = work / f"{preset.name}_{job.label}.safetensors"
     start = time.process_time()
@@ -45,7 +49,11 @@ def run_job(
         settings,
         checkpoint=checkpoint,
         progress=lambda step, loss: progress(step / settings.steps),
+        validation=draw(physics, *_VALIDATION, seed=_SEED_VALIDATION) if settings.check_every else None,
+        log=checkpoint.with_suffix(".csv"),
     )
+    if place()[0] > 0:
+        return []
     spent = time.process_time() - start
     rows = [row | {"cpu_s": spent} for row in _measured(job, preset, run.model, "; ".join(run.remarks))]
     append_rows("learning", [row | {"settings": str(asdict(settings))} for row in rows], results)

@@ -1,19 +1,24 @@
 """Hybrid: systems known in part, whose unknown part is identified from a few series of the same dynamics."""
 
-from petkin.hybrid.checkpoint import load_tensors, save_tensors
+from petkin.hybrid.aggregate import Aggregate, Attention, mean
+from petkin.hybrid.checkpoint import load_model, load_tensors, save_tensors
 from petkin.hybrid.encoders import Curve, Head, SpatioTemporal, Stack
 from petkin.hybrid.episodes import Dataset, episodes, of_others
 from petkin.hybrid.field import HybridField
 from petkin.hybrid.flow import Flow, RungeKutta
 from petkin.hybrid.metrics import measure, signal_to_noise, valid_share
 from petkin.hybrid.model import Encoded, HyperNetwork, Identifier
+from petkin.hybrid.parallel import place, processes
 from petkin.hybrid.residual import Network, Residual, into_rows, run_layers
+from petkin.hybrid.schedule import Settings, learning_rate
 from petkin.hybrid.strategies import STRATEGIES, find_strategy
 from petkin.hybrid.task import Emission, Task
-from petkin.hybrid.train import Run, Settings, learning_rate, train
+from petkin.hybrid.train import Run, train
 
 __all__ = [
     "STRATEGIES",
+    "Aggregate",
+    "Attention",
     "Curve",
     "Dataset",
     "Emission",
@@ -35,9 +40,13 @@ __all__ = [
     "find_strategy",
     "into_rows",
     "learning_rate",
+    "load_model",
     "load_tensors",
+    "mean",
     "measure",
     "of_others",
+    "place",
+    "processes",
     "run_layers",
     "save_tensors",
     "signal_to_noise",

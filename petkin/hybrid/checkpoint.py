@@ -1,10 +1,11 @@
-"""Training states on disk: safetensors (numbers and text alone), written whole or not at all."""
+"""Training states on disk: safetensors (numbers and text alone), written whole or not at all; losses as CSV."""
 
 from __future__ import annotations
 
+import csv
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,19 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         raise InputError(f"{path}: not a checkpoint of petkin ({failure}).") from failure
 
 
+def load_model(path: Path, model: torch.nn.Module) -> dict[str, Any]:
+    """The weights of a training's checkpoint into a model of the same form, set to be evaluated; returns the card."""
+    tensors, card = load_tensors(path)
+    model.load_state_dict(dict(below("best." if "best.lower" in tensors else "model.", tensors)))
+    model.eval()
+    return card
+
+
+def below(prefix: str, tensors: Mapping[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
+    """Tensors whose name begins so, without it."""
+    return ((name.removeprefix(prefix), value) for name, value in tensors.items() if name.startswith(prefix))
+
+
 def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
     """Adam's memory by parameter number."""
     state = optimiser.state_dict()["state"]
@@ -58,3 +72,13 @@ def restore_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Te
         index, _, field = name.partition(".")
         state.setdefault(int(index), {})[field] = value
     optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
+
+
+def write_log(path: Path, losses: Sequence[float], checks: Sequence[tuple[int, float]]) -> None:
+    """A CSV row a step: its loss and, where there was a check, the error on the validation dynamics."""
+    found = dict(checks)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(("step", "loss", "validation"))
+        rows.writerows((step, loss, found.get(step, "")) for step, loss in enumerate(losses, 1))

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from petkin.errors import InputError
+from petkin.hybrid.aggregate import Aggregate, mean
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,11 @@ def episodes(data: Dataset, *, dynamics: int, series: int, generator: torch.Gene
         yield data.take(chosen, order)
 
 
-def of_others(values: Float[Tensor, "D S v"], k: int) -> Float[Tensor, "D S v"]:
-    """For every series the mean over the k that follow it, in a circle: contexts never hold their own query.
+def of_others(values: Float[Tensor, "D S v"], k: int, aggregate: Aggregate = mean) -> Float[Tensor, "D S v"]:
+    """For every series what the k that follow it say together, in a circle: contexts never hold their own query.
 
     With k = S - 1 this is leave-one-out: S encodings serve S queries with S - 1 contexts each.
     """
     if not 1 <= k < values.shape[1]:
         raise InputError(f"Each of {values.shape[1]} series cannot have {k} others as its context.")
-    return torch.stack([values.roll(-shift, dims=1) for shift in range(1, k + 1)]).mean(dim=0)
+    return aggregate(torch.stack([values.roll(-shift, dims=1) for shift in range(1, k + 1)], dim=2))

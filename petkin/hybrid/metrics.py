@@ -54,7 +54,7 @@ def _one(
 ) -> dict[str, float]:
     task, states, truth = model.task, data.states[m : m + 1], data.truth[m : m + 1]
     observed = task.emission.observe(states)
-    found = strategy(model.encode(observed), k)
+    found = strategy(model.encode(observed), k, model.aggregate)
     predicted = model.predict(found)
     error = task.emission.squared_error(predicted, states)
     spread = data.states.flatten(0, 2).var(dim=0).clamp_min(1e-12)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from petkin.dynamics import VectorField
+from petkin.hybrid.aggregate import Aggregate, mean
 from petkin.hybrid.encoders import Head
 from petkin.hybrid.field import HybridField
 from petkin.hybrid.residual import Network
@@ -60,11 +61,21 @@ class Identifier(nn.Module):
         first: encoder of its first frames, with `features`.
         code: numbers in c_n; 0 for one f_NN of all dynamics.
         generator: draws the first weights of f_NN.
+        aggregate: makes one c_p and c_n of those that several context series say.
     """
 
-    def __init__(self, task: Task, context: nn.Module, first: nn.Module, *, code: int, generator: torch.Generator):
+    def __init__(
+        self,
+        task: Task,
+        context: nn.Module,
+        first: nn.Module,
+        *,
+        code: int,
+        generator: torch.Generator,
+        aggregate: Aggregate = mean,
+    ) -> None:
         super().__init__()
-        self.task, self.context, self.first = task, context, first
+        self.task, self.context, self.first, self.aggregate = task, context, first, aggregate
         self.to_initial = Head(int(first.features), len(task.states))  # type: ignore[arg-type]
         self.to_physics = Head(int(context.features), len(task.parameters))  # type: ignore[arg-type]
         coded = code if task.residual is not None else 0

@@ -21,6 +21,8 @@ from petkin.hybrid import (
     train,
     valid_share,
 )
+from petkin.hybrid.train import loss_of
+from petkin.hybrid.validation import Validation
 
 from .oscillator import data, make
 
@@ -154,3 +156,33 @@ def test_penalties_keep_f_nn_small():
         float(m.residual(codes, states, torch.full((5, 6, 1), 2.0)).detach().square().mean()) for m in (plain, small)
     ]
     assert sizes[1] < 0.2 * sizes[0]
+
+
+def test_validation_keeps_the_best_of_the_end_and_a_plateau_ends_a_run(tmp_path):
+    settings = replace(_SHORT, steps=40, check_every=2, patience=2, rate=1e-12)
+    path, log = tmp_path / "run.safetensors", tmp_path / "run.csv"
+    run = train(make, data(), settings, checkpoint=path, validation=data(seed=3), log=log)
+    assert run.step == 34  # checks count after step 28; those at 32 and 34 are no better than that at 30
+    rows = [line.split(",") for line in log.read_text().splitlines()]
+    assert rows[0] == ["step", "loss", "validation"]
+    assert [float(row[1]) for row in rows[1:]] == run.losses
+    assert [(int(row[0]), float(row[2])) for row in rows[1:] if row[2]] == run.checks
+    again = train(make, data(), settings, checkpoint=path, validation=data(seed=3))
+    assert (again.step, again.checks) == (run.step, run.checks)
+
+
+def test_the_weights_of_the_best_late_check_are_returned():
+    keeper, model = Validation(100, 0), torch.nn.Linear(1, 1)
+    for step, error in ((50, 0.1), (80, 0.5), (90, 0.2), (100, 0.3)):
+        torch.nn.init.constant_(model.weight, step)
+        keeper.see(step, error, model)
+    assert float(keeper.best["weight"]) == 90.0
+
+
+def test_episodes_of_a_step_are_averaged_and_k_varies():
+    settings = replace(_SHORT, steps=1, save_every=1)
+    drawn = episodes(data(), dynamics=4, series=4, generator=torch.Generator().manual_seed(0))
+    errors = [float(loss_of(make(0).train(), next(drawn), 3, settings, 0)[1].detach()) for _ in range(2)]
+    assert train(make, data(), replace(settings, episodes=2)).losses == pytest.approx([sum(errors) / 2], rel=1e-6)
+    varied = train(make, data(), replace(settings, steps=12, vary=True)).losses
+    assert varied != train(make, data(), replace(settings, steps=12)).losses

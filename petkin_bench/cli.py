@@ -165,6 +165,27 @@ def tables(
     print_tables(results or RESULTS, preset)
 
 
+@app.command("real-scans")
+def real_scans(
+    data: Annotated[Path, typer.Option(help="PET-BIDS study with regional curves and blood.")],
+    subject: Annotated[list[str] | None, typer.Option(help="Only this subject; repeatable.")] = None,
+    seg: Annotated[str | None, typer.Option(help="Which table of curves, by its seg- label.")] = None,
+    seed: Annotated[int, typer.Option(help="Of blunders, twins and draws.", min=0)] = 0,
+) -> None:
+    """Withhold effects from the simulator, and put blunders into the curves, of real scans; ask what is missing.
+
+    Rows are appended to petkin_bench/results/real_scans.csv.
+    """
+    import pandas as pd
+
+    from petkin_bench.provenance import append_rows
+    from petkin_bench.real_scans import measure_real, summary
+
+    rows = measure_real(data, subjects=tuple(subject or ()), seg=seg, seed=seed)
+    typer.echo(pd.DataFrame(summary(rows)).to_string(index=False))
+    typer.echo(f"Appended to {append_rows('real_scans', [row | {'seed': seed} for row in rows])}")
+
+
 def main() -> None:
     """Run the command line; a `PetkinError` becomes one line on standard error and exit status 2."""
     try:

@@ -48,6 +48,7 @@ class Hypothesis:
         by_channel: whether the amplitude differs between channels.
         flag: whether it is there or not, at amplitude 1.
         split_by: the measurement that would tell it from what looks like it.
+        log_odds: what is known of it before the data, beyond that it may be there.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Hypothesis:
     by_channel: bool = False
     flag: bool = False
     split_by: str = ""
+    log_odds: float = 0.0
 
     @property
     def signed(self) -> bool:

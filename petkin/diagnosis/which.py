@@ -181,10 +181,11 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
 
 
 def _averaged(candidate: Candidate, scan: Scan, each: Array) -> Candidate:
-    """Less what choosing the best setting gained over an average one."""
-    values = np.array([e for t, e in zip(scan.templates, each) if t.hypothesis.name == candidate.names[0]])
+    """Less what choosing the best setting gained over an average one, and with what is known beforehand."""
+    mine = [(t.hypothesis, e) for t, e in zip(scan.templates, each) if t.hypothesis.name == candidate.names[0]]
+    values = np.array([e for _, e in mine])
     excess = float(values.max() - (logsumexp(values) - np.log(len(values))))
-    return Candidate(candidate.names, candidate.fit, candidate.log_evidence - excess, candidate.gain, candidate.terms)
+    return replace(candidate, log_evidence=candidate.log_evidence - excess + mine[0][0].log_odds)
 
 
 def start(scan: Scan, residual: Array, each: Array, name: str) -> Term:
@@ -303,7 +304,7 @@ def pairs(
         pair = refitted(simulator, data, noise, base, (*leader.terms, term), leader.fit)
         assert pair.fit is not None
         second = _after_refit(leader.fit, pair.fit, len(simulator.channels), len(leader.fit.state.terms))
-        found.append(replace(pair, log_evidence=leader.log_evidence + second - _SECOND))
+        found.append(replace(pair, log_evidence=leader.log_evidence + second + term.hypothesis.log_odds - _SECOND))
     return sorted(found, key=lambda c: -c.log_evidence)
 
 

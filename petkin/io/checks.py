@@ -117,7 +117,7 @@ def decay_factors(sidecar: PetSidecar) -> tuple[Remark, ...]:
     The half-life is RadionuclideHalfLife (what the scanner used) or else the table's.
     """
     frames = len(sidecar.frame_duration)
-    field, factors = _factors(sidecar)
+    field, factors = stated_factors(sidecar)
     remarks: list[Remark] = []
     given = sidecar.decay_correction_factor
     if given is not None and len(given) != frames:
@@ -138,7 +138,8 @@ def decay_factors(sidecar: PetSidecar) -> tuple[Remark, ...]:
     return tuple(remarks)
 
 
-def _factors(sidecar: PetSidecar) -> tuple[str, NDArray[np.float64] | None]:
+def stated_factors(sidecar: PetSidecar) -> tuple[str, NDArray[np.float64] | None]:
+    """The field that states a decay factor for every frame, and the factors; None where neither field does."""
     for field, values in (
         ("DecayCorrectionFactor", sidecar.decay_correction_factor),
         ("DecayFactor", sidecar.decay_factor),

@@ -32,6 +32,7 @@ class GapReport:
         residual, residual_after: in units of the noise (R, K).
         alike: pairs of causes and their cosine.
         visible: every hypothesis with d' at the end of its range, share kept by the refit, and its likeliest double.
+        shown: effects that the sidecar itself speaks for, and why.
         scan: label and value.
         warnings: what was odd about the files.
         command_line: as typed.
@@ -46,6 +47,7 @@ class GapReport:
     residual_after: Array | None
     alike: tuple[tuple[tuple[str, ...], float], ...]
     visible: tuple[tuple[str, float, float, tuple[tuple[str, float], ...]], ...]
+    shown: tuple[tuple[str, str], ...]
     scan: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
     command_line: str

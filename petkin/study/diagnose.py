@@ -28,6 +28,7 @@ from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.blood import recorded_input
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.sidecar import blunders
 from petkin.study.fit_scan import Progress
 from petkin.study.outputs import require_own_folder, write_study_description
 from petkin.study.reading import read_sources
@@ -71,17 +72,29 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             progress(f"{label}: {step}", (i + done) / len(scans))
 
         started = time.process_time()
+        shown = blunders(source.sidecar)
         found = diagnose(
             simulator,
             curves.values,
-            hypotheses(EFFECTS, simulator, without=frozenset(request.without)),
-            always=ALWAYS,
+            hypotheses(
+                EFFECTS,
+                simulator,
+                without=frozenset(request.without),
+                log_odds={b.effect: b.odds for b in shown},
+            ),
+            always=ALWAYS | {b.effect for b in shown},
             seed=request.seed,
             progress=here,
         )
         seconds = time.process_time() - started
         text = answer(
-            found, simulator, subject=source.label, model=simulator.label, seed=request.seed, seconds=round(seconds, 2)
+            found,
+            simulator,
+            subject=source.label,
+            model=simulator.label,
+            seed=request.seed,
+            seconds=round(seconds, 2),
+            shown=shown,
         )
         report = _report(source, curves, simulator, found, text, request)
         relative = report_path(source.entities, desc="gap")
@@ -204,6 +217,7 @@ def _report(
         residual_after=None if leader is None else leader.residual.reshape(shape),
         alike=tuple(sorted((tuple(sorted(pair)), c) for pair, c in found.alike.items())),
         visible=tuple((v.hypothesis.name, v.detectability, v.kept, v.partners[:1]) for v in found.visible),
+        shown=tuple((b.effect, b.why) for b in blunders(source.sidecar)),
         scan=source.facts,
         warnings=tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks])),
         command_line=request.command_line,

@@ -89,6 +89,7 @@ def _from_scan(scan: Scan, request: FitRequest, of_study: Sequence[Remark]) -> S
         facts=_facts(scan),
         files=tuple(_files(scan, request, image=image is not None, curves=curves)),
         suv=suv_factor(scan.prefix, scan.sidecar, scan.body_weight, request),
+        sidecar=scan.sidecar,
     )
     return completed(source, request)
 

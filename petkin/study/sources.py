@@ -9,7 +9,7 @@ import numpy as np
 
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
-from petkin.io import BloodRecord, Dseg, RegionalCurves, Remark, Series
+from petkin.io import BloodRecord, Dseg, PetSidecar, RegionalCurves, Remark, Series
 from petkin.io.names import prefix
 from petkin.study.request import FitRequest
 from petkin.units import SECONDS_PER_MINUTE
@@ -38,6 +38,7 @@ class Source:
         facts: label and value, for the report.
         files: what the results come from.
         suv: body weight over injected dose, g/kBq, where it was asked for.
+        sidecar: its `_pet.json`; None of files outside a study.
     """
 
     entities: dict[str, str]
@@ -53,6 +54,7 @@ class Source:
     facts: tuple[tuple[str, str], ...]
     files: tuple[str, ...]
     suv: float | None = None
+    sidecar: PetSidecar | None = None
 
     @property
     def label(self) -> str:

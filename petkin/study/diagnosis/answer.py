@@ -13,6 +13,7 @@ from petkin.diagnosis import Cause, Diagnosis, State, Visible, indistinct
 from petkin.effects import effect_named
 from petkin.kinetics import compartment_model
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
+from petkin.study.diagnosis.sidecar import Blunder
 from petkin.units import SECONDS_PER_MINUTE
 
 Array = NDArray[np.float64]
@@ -26,9 +27,16 @@ _DIGITS = 6
 
 
 def answer(
-    found: Diagnosis, simulator: RegionalSimulator, *, subject: str, model: str, seed: int, seconds: float
+    found: Diagnosis,
+    simulator: RegionalSimulator,
+    *,
+    subject: str,
+    model: str,
+    seed: int,
+    seconds: float,
+    shown: tuple[Blunder, ...] = (),
 ) -> dict[str, Any]:
-    """The whole answer, ready to be written."""
+    """The whole answer, ready to be written; `shown` is what the sidecar tells without any curve."""
     return _rounded(
         {
             "schema": SCHEMA,
@@ -48,9 +56,9 @@ def answer(
                 "set": list(found.chosen),
                 "set_probability": found.set_probability,
                 "split_by": split_by(found),
-                "sentence": sentence(found),
+                "sentence": sentence(found) + told(shown),
             },
-            "cannot_tell": cannot_tell(found.visible, simulator),
+            "cannot_tell": cannot_tell(found.visible, simulator, shown),
             "parameters": _parameters(found, simulator),
             "provenance": {"petkin": __version__, "seed": seed, "seconds": seconds},
         }
@@ -161,10 +169,31 @@ def _strength(cause: Cause) -> str:
     return f" of {first.value:.3g}{unit}" + ("" if onset is None else f" from {onset.value:.3g} min on")
 
 
-def cannot_tell(visible: tuple[Visible, ...], simulator: RegionalSimulator) -> list[dict[str, Any]]:
-    """Effects that this design hides, and pairs that look alike in it; with what an unseen one does to K1 and VT."""
-    found = []
+def told(shown: tuple[Blunder, ...]) -> str:
+    """What the sidecar is sure of, as a second sentence; nothing where it is in order."""
+    clauses = [f"{blunder.why} ({words(blunder.effect)})" for blunder in shown if blunder.sure]
+    return f" The sidecar shows: {'; '.join(clauses)}." if clauses else ""
+
+
+def cannot_tell(
+    visible: tuple[Visible, ...], simulator: RegionalSimulator, shown: tuple[Blunder, ...] = ()
+) -> list[dict[str, Any]]:
+    """Effects that this design hides, and pairs that look alike in it; with what an unseen one does to K1 and VT.
+
+    What the sidecar shows of a pure scale comes first: no curve ever could.
+    """
+    found: list[dict[str, Any]] = [
+        {
+            "effects": [b.effect],
+            "why": f"the sidecar alone shows it: {b.why}",
+            "worst_bias": {"K1": b.scale, "VT": b.scale},
+        }
+        for b in shown
+        if b.scale
+    ]
     for names, entry in indistinct(visible):
+        if names in {(b.effect,) for b in shown if b.scale}:
+            continue
         if len(names) == 1:
             why = f"the refitted kinetics absorb it: d' is {entry.detectability:.2g} at the end of its plausible range"
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -169,8 +169,8 @@ def effect_of(hypothesis: Hypothesis) -> Effect:
     return effect_named(hypothesis.name)
 
 
-def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
-    """An effect as a hypothesis about this simulator."""
+def hypothesis_of(effect: Effect, simulator: RegionalSimulator, log_odds: float = 0.0) -> Hypothesis:
+    """An effect as a hypothesis about this simulator, with what is known of it before the data."""
     amplitude = effect.amplitude
     first, last = _onset_bounds(simulator.clock)
     shapes = [
@@ -192,6 +192,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         by_channel=bool(effect.regional),
         flag=effect.flag,
         split_by=effect.split_by,
+        log_odds=log_odds,
     )
 
 
@@ -223,12 +224,22 @@ def _onset_bounds(clock: FrameObservation) -> tuple[float, float]:
 
 
 def hypotheses(
-    candidates: Sequence[Effect], simulator: RegionalSimulator, *, without: frozenset[str]
+    candidates: Sequence[Effect],
+    simulator: RegionalSimulator,
+    *,
+    without: frozenset[str],
+    log_odds: Mapping[str, float] | None = None,
 ) -> tuple[Hypothesis, ...]:
-    """All effects that may be missing: not included, not withheld, and possible for this simulator."""
+    """All effects that may be missing: not included, not withheld, and possible for this simulator.
+
+    `log_odds` is what is known of some before the data, by name.
+    """
     model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
     known = {e.name for e in simulator.includes} | without
-    return tuple(hypothesis_of(e, simulator) for e in candidates if e.name not in known and e.suits(model))
+    odds = log_odds or {}
+    return tuple(
+        hypothesis_of(e, simulator, odds.get(e.name, 0.0)) for e in candidates if e.name not in known and e.suits(model)
+    )
 
 
 def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0) -> Array:

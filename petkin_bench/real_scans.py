@@ -1,0 +1,225 @@
+"""Effects withheld from the simulator, and blunders put into the curves, on real scans; and twins that hold no gap.
+
+A withheld effect is real: what the simulator is denied, the scan has. A blunder is known: real noise, real kinetics,
+and one mistake. A twin is the simulator's own fit with noise of the covariance that was estimated, and nothing else.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis import Diagnosis, diagnose
+from petkin.diagnosis.diagnose import base_fit
+from petkin.diagnosis.noise import Noise
+from petkin.effects import EFFECTS, effect_named
+from petkin.effects.clock import grown
+from petkin.errors import InputError
+from petkin.imaging import FrameObservation
+from petkin.io import RegionalCurves
+from petkin.study.diagnose import ALWAYS, prepared, sources_of
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
+from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.units import SECONDS_PER_MINUTE
+
+Array = NDArray[np.float64]
+
+#: What the simulator has besides two tissue compartments where nothing is withheld.
+FULL = ("blood_volume", "arterial_delay", "vascular_trapping")
+#: Sizes of the blunders: a gain step and the excess of one frame, relative; a clock that is off, s.
+_STEP, _EXCESS, _LATE_S = 0.10, 0.20, 10.0
+#: The frame and the onset lie in this part of the schedule, drawn by scan.
+_MIDDLE = (0.35, 0.85)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One diagnosis with a known answer.
+
+    Args:
+        group: withheld, blunder or twin.
+        name: of the case.
+        accepted: effects that are the answer; more than one where nothing can split them; none for a twin.
+        curves: values (C, K).
+        simulator: what they are compared with.
+    """
+
+    group: str
+    name: str
+    accepted: tuple[str, ...]
+    values: Array
+    simulator: RegionalSimulator
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """A scan and its simulators, by what they lack."""
+
+    label: str
+    curves: RegionalCurves
+    full: RegionalSimulator
+    one_tissue: RegionalSimulator
+
+    def cut(self, effect: str) -> RegionalSimulator:
+        """The full simulator without an effect."""
+        return replace(self.full, includes=tuple(e for e in self.full.includes if e.name != effect), _seen={})
+
+
+def measure_real(
+    folder: Path, *, subjects: tuple[str, ...] = (), seg: str | None = "rois", only: tuple[str, ...] = (), seed: int = 0
+) -> list[dict[str, object]]:
+    """One row a scan and case: what was withheld or put in, and what the diagnosis says.
+
+    Args:
+        folder: PET-BIDS study with regional curves and blood.
+        subjects: labels; empty for all.
+        seg: which table of curves.
+        only: names of cases; empty for all.
+        seed: of blunders, twins and draws.
+
+    Raises:
+        InputError: no such study, or scans that cannot be diagnosed.
+    """
+    return [
+        _row(scan.label, case, seed)
+        for scan in _recordings(folder, subjects, seg)
+        for case in _cases(scan, np.random.default_rng((seed, *scan.label.encode())))
+        if not only or case.name in only
+    ]
+
+
+def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None) -> Iterator[_Recording]:
+    request = DiagnoseRequest(folder, model="2tcm", include=FULL, subjects=subjects, seg=seg)
+    lesser = replace(request, model="1tcm")
+    for source in sources_of(request)[2]:
+        curves, full = prepared(source, request)
+        yield _Recording(source.label, curves, full, prepared(source, lesser)[1])
+
+
+def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
+    values = scan.curves.values
+    fit, noise, *_ = base_fit(scan.full, values)
+    yield Case("twin", "twin", (), fit.values + _drawn(noise, rng), scan.full)
+    yield Case("withheld", "nothing", (), values, scan.full)
+    for name in ("blood_volume", "vascular_trapping"):
+        yield Case("withheld", name, (name,), values, scan.cut(name))
+    yield Case("withheld", "second_tissue", ("second_tissue",), values, scan.one_tissue)
+    record = scan.full.input
+    if record.total_plasma is not None:
+        bare = replace(record, plasma=record.total_plasma, parent_fraction=None)
+        yield Case(
+            "withheld", "parent_fraction", ("parent_fraction",), values, replace(scan.full, input=bare, _seen={})
+        )
+    timed = scan.cut("arterial_delay")
+    fitted_s = float(fit.state.shared[0]) * width(effect_named("arterial_delay"))
+    for late in (_LATE_S, -_LATE_S):
+        moved = replace(timed, input=record.delayed((fitted_s + late) / SECONDS_PER_MINUTE), _seen={})
+        yield Case("withheld", f"delay{late:+.0f}s", ("arterial_delay", "frame_offset"), values, moved)
+    for name, blunder in _BLUNDERS.items():
+        spoilt = values * blunder(scan.full.clock, rng)
+        for simulator in (scan.full, scan.cut("vascular_trapping")):
+            yield Case("blunder", name, (name,), spoilt, simulator)
+
+
+def _drawn(noise: Noise, rng: np.random.Generator) -> Array:
+    """Noise of this covariance (C, K)."""
+    alone, common = rng.standard_normal(noise.spread.shape), rng.standard_normal(noise.spread.shape[1])
+    mixed = np.sqrt(1.0 - noise.share) * alone + np.sqrt(noise.share) * common
+    return mixed * noise.spread * noise.size[:, None]
+
+
+def _stepped(clock: FrameObservation, rng: np.random.Generator) -> Array:
+    return 1.0 + _STEP * (np.arange(len(clock.frames)) >= _middle(clock, rng))
+
+
+def _misjudged(clock: FrameObservation, rng: np.random.Generator) -> Array:
+    return 1.0 + _EXCESS * (np.arange(len(clock.frames)) == _middle(clock, rng))
+
+
+def _middle(clock: FrameObservation, rng: np.random.Generator) -> int:
+    first, last = (int(part * len(clock.frames)) for part in _MIDDLE)
+    return int(rng.integers(first, last))
+
+
+_BLUNDERS: dict[str, Callable[[FrameObservation, np.random.Generator], Array]] = {
+    "mean_life_swap": lambda clock, rng: grown(clock, (1.0 / np.log(2.0) - 1.0) * clock.decay),
+    "decay_applied_twice": lambda clock, rng: grown(clock, clock.decay),
+    "gain_step": _stepped,
+    "frame_duration": _misjudged,
+}
+
+
+def _row(label: str, case: Case, seed: int) -> dict[str, object]:
+    started = time.process_time()
+    candidates = hypotheses(EFFECTS, case.simulator, without=frozenset())
+    found = diagnose(case.simulator, case.values, candidates, always=ALWAYS, seed=seed)
+    seconds = time.process_time() - started
+    leader = found.causes[0] if found.causes else None
+    return {
+        "scan": label,
+        "group": case.group,
+        "case": case.name,
+        "simulator": " ".join([case.simulator.label, *(e.name for e in case.simulator.includes)]),
+        "kind": found.kind,
+        "p": round(found.p_value, 4),
+        "chi2": round(found.chi2_per_dof, 3),
+        "leader": "" if leader is None else leader.label,
+        "probability": 0.0 if leader is None else round(leader.probability, 3),
+        "set": " ".join(found.chosen),
+        "first": _names(found.chosen[:1], case.accepted),
+        "in_set": _names(found.chosen, case.accepted),
+        "closure": "" if leader is None or leader.closure is None else round(leader.closure.value, 3),
+        "detectability": _detectability(found, case.accepted),
+        "cpu_s": round(seconds, 2),
+    }
+
+
+def _names(labels: tuple[str, ...], accepted: tuple[str, ...]) -> bool:
+    """Whether some label names an accepted effect, alone or with another."""
+    return any(name in accepted for label in labels for name in label.split("+"))
+
+
+def _detectability(found: Diagnosis, accepted: tuple[str, ...]) -> object:
+    """d' of the answer at the end of its plausible range in this scan."""
+    return next((round(v.detectability, 1) for v in found.visible if v.hypothesis.name in accepted), "")
+
+
+def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """Counts by case, and how often test and retest of a subject name the same first cause.
+
+    Raises:
+        InputError: no rows.
+    """
+    if not rows:
+        raise InputError("There are no scans to sum up; see --data and --subject.")
+    found = []
+    for name, simulator in dict.fromkeys((row["case"], row["simulator"]) for row in rows):
+        mine = [row for row in rows if (row["case"], row["simulator"]) == (name, simulator)]
+        found.append(
+            {
+                "case": name,
+                "group": mine[0]["group"],
+                "simulator": simulator,
+                "scans": len(mine),
+                "alarms": sum(row["kind"] != "none" for row in mine),
+                "first": sum(bool(row["first"]) for row in mine),
+                "in_set": sum(bool(row["in_set"]) for row in mine),
+                "median_set": float(np.median([len(str(row["set"]).split()) for row in mine])),
+                "agree": _agreement(mine),
+            }
+        )
+    return found
+
+
+def _agreement(rows: list[dict[str, object]]) -> str:
+    """Pairs of scans of one subject whose sets share a cause, of how many pairs."""
+    by_subject: dict[str, list[set[str]]] = {}
+    for row in rows:
+        by_subject.setdefault(str(row["scan"]).split("_")[0], []).append(set(str(row["set"]).replace("+", " ").split()))
+    pairs = [sets for sets in by_subject.values() if len(sets) == 2]
+    return f"{sum(bool(a & b) or a == b for a, b in pairs)}/{len(pairs)}"

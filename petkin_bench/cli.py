@@ -113,6 +113,9 @@ def run(
     preset: Annotated[str, typer.Option(help="tiny, cpu or paper.")] = "cpu",
     seeds: Annotated[int, typer.Option(help="Runs a row, seeds 0, 1, ...", min=1)] = 1,
     dynamics: Annotated[str | None, typer.Option(help="Only this way of modelling, e.g. meta_hylad.")] = None,
+    decoder: Annotated[
+        str, typer.Option(help="What makes pictures of states: physics, neural_prior, neural or adaptive.")
+    ] = "physics",
     episodes: Annotated[
         int, typer.Option(help="Episodes a step, shared by torchrun's processes; 0 for one a process.", min=0)
     ] = 0,
@@ -138,7 +141,7 @@ def run(
 
     torch.set_num_threads(1)
     folder, chosen = results or RESULTS, find_preset(preset)
-    planned = [job for job in jobs(table, system, seeds) if dynamics in (None, job.dynamics)]
+    planned = [job for job in jobs(table, system, seeds, decoder) if dynamics in (None, job.dynamics)]
     finished = done(folder)
     left = [job for job in planned if key(job, chosen) not in finished]
     with processes() as count:

@@ -17,6 +17,7 @@ from rich.table import Table
 from petkin.errors import InputError
 
 PUBLISHED = Path(__file__).parent / "published" / "meta_hylad.csv"
+_FILE = "learning.csv"
 _METRICS = ("mse_x", "mse_z", "vpt_x", "vpt_z", "mse_cp", "mse_f")
 #: Ours -> the paper's names where they differ.
 _THEIRS = {"mse_f": "mse_cn"}
@@ -29,14 +30,11 @@ def compare(results: Path, preset: str) -> pd.DataFrame:
     Raises:
         InputError: no results of this preset.
     """
-    path = results / "learning.csv"
-    if not path.is_file():
-        raise InputError(f"{path}: there are no results yet; make some with petkin-bench run.")
-    rows = pd.read_csv(path).query("preset == @preset")
+    rows = read_rows(results).query("preset == @preset")
     if rows.empty:
-        raise InputError(f"{path}: no rows of preset {preset!r}.")
-    methods, variants, splits = zip(*(_names(row) for row in _records(rows)))
-    rows = rows.assign(method=methods, variant=variants, split=splits)
+        raise InputError(f"{results / _FILE}: no rows of preset {preset!r}.")
+    tables, methods, variants, splits = zip(*(_names(row) for row in _records(rows)))
+    rows = rows.assign(table=tables, method=methods, variant=variants, split=splits)
     keys = ["table", "system", "method", "variant", "split", "metric"]
     long = rows.melt([*keys[:-1], "seed"], [m for m in _METRICS if m in rows], "metric")
     ours = long.dropna().groupby(keys, sort=False)["value"].agg(["mean", "std", "count"]).reset_index()
@@ -46,12 +44,28 @@ def compare(results: Path, preset: str) -> pd.DataFrame:
     return found.assign(ratio=found["mean"] / found["published"])
 
 
-def _names(row: Mapping[str, object]) -> tuple[str, str, str]:
-    """Method, variant and split as the published table names them."""
-    if row["table"] == "hybrid":
-        return str(row["dynamics"]), "physics_decoder", str(row["split"])
-    test = str(row["test"]) if row["split"] == "ID" else f"{row['test']} {row['split']}"
-    return _STRATEGIES[str(row["strategy"])], f"k{row['k_train']}", test
+def read_rows(results: Path) -> pd.DataFrame:
+    """All rows; those from before decoders could be chosen have the system's own.
+
+    Raises:
+        InputError: there are none.
+    """
+    path = results / _FILE
+    if not path.is_file():
+        raise InputError(f"{path}: there are no results yet; make some with petkin-bench run.")
+    table = pd.read_csv(path)
+    return table.assign(decoder=table["decoder"].fillna("physics") if "decoder" in table else "physics")
+
+
+def _names(row: Mapping[str, object]) -> tuple[str, str, str, str]:
+    """Table, method, variant and split as the published tables name them."""
+    table, split, decoder = (str(row[name]) for name in ("table", "split", "decoder"))
+    if table == "strategy":
+        test = str(row["test"]) if split == "ID" else f"{row['test']} {split}"
+        return table, _STRATEGIES[str(row["strategy"])], f"k{row['k_train']}", test
+    if decoder == "physics":
+        return table, str(row["dynamics"]), "physics_decoder", split
+    return "baselines", str(row["dynamics"]), decoder, split
 
 
 def print_tables(results: Path, preset: str) -> None:

@@ -9,6 +9,7 @@ from torch import nn
 
 from petkin.errors import InputError
 from petkin.hybrid import Identifier, Settings, SpatioTemporal, Stack, Task
+from petkin_bench.decoding import decoder_of
 from petkin_bench.systems import DYNAMICS, SYSTEMS, Physics, find_system
 
 #: Frames that tell the start of a series, and numbers in c_n.
@@ -27,6 +28,7 @@ class Preset:
         filters: of the encoders.
         spatio_temporal: the paper's context encoder instead of stacked frames.
         settings: of the training, system by system where they differ from "".
+        decoder: widths of a learned decoder.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Preset:
     filters: int
     spatio_temporal: bool
     settings: dict[str, Settings] = field(default_factory=dict)
+    decoder: tuple[int, ...] = (32, 128)
 
     def of(self, system: str) -> Settings:
         return self.settings.get(system, self.settings[""])
@@ -58,7 +61,15 @@ PRESETS = (
             "rigid_body": Settings(steps=800, series=4),
         },
     ),
-    Preset("paper", (1.0, 1.0), (38, 81), 16, True, {"": Settings(steps=48_000, rate=1e-3, clip=5.0, warm_up=0.0)}),
+    Preset(
+        "paper",
+        (1.0, 1.0),
+        (38, 81),
+        16,
+        True,
+        {"": Settings(steps=48_000, rate=1e-3, clip=5.0, warm_up=0.0)},
+        (32, 128, 512),
+    ),
 )
 
 
@@ -85,6 +96,7 @@ class Job:
         strategy: what a series is predicted from in training.
         k: context series in training; 0 for all others of an episode.
         seed: of weights and episodes.
+        decoder: physics, neural_prior, neural or adaptive.
     """
 
     table: str
@@ -93,28 +105,31 @@ class Job:
     strategy: str
     k: int
     seed: int
+    decoder: str = "physics"
 
     @property
     def label(self) -> str:
-        return f"{self.table}_{self.system}_{self.dynamics}_{self.strategy}_k{self.k or 'all'}_seed{self.seed}"
+        seen = "" if self.decoder == "physics" else f"_{self.decoder}"
+        return f"{self.table}_{self.system}_{self.dynamics}_{self.strategy}_k{self.k or 'all'}_seed{self.seed}{seen}"
 
 
-def jobs(table: str, system: str | None, seeds: int) -> tuple[Job, ...]:
-    """The runs of a table, seed after seed.
+def jobs(table: str, system: str | None, seeds: int, decoder: str = "physics") -> tuple[Job, ...]:
+    """The runs of a table, seed after seed; with a learned decoder those of Meta-HyLaD alone, as published.
 
     Raises:
         InputError: no such table or system.
     """
     if table == "hybrid":
         systems = [find_system(system).name] if system else [s.name for s in SYSTEMS]
-        plan = [(name, dynamics, "meta", 0) for name in systems for dynamics in DYNAMICS]
+        ways = DYNAMICS if decoder == "physics" else ("meta_hylad",)
+        plan = [(name, dynamics, "meta", 0) for name in systems for dynamics in ways]
     elif table == "strategy":
         name = find_system(system or "pendulum").name
         ways = (("reconstruct", 1), ("meta", 1), ("mixed", 1), ("meta", 7), ("mixed", 7))
         plan = [(name, "meta_hylad", strategy, k) for strategy, k in ways]
     else:
         raise InputError(f"There is no table {table!r} here; choose hybrid or strategy.")
-    return tuple(Job(table, *row, seed) for seed in range(seeds) for row in plan)
+    return tuple(Job(table, *row, seed, decoder) for seed in range(seeds) for row in plan)
 
 
 def settings_of(job: Job, preset: Preset) -> Settings:
@@ -123,14 +138,16 @@ def settings_of(job: Job, preset: Preset) -> Settings:
     return replace(found, strategy=job.strategy, context=min(job.k, found.series - 1), seed=job.seed)
 
 
-def build(physics: Physics, dynamics: str, preset: Preset, seed: int) -> Identifier:
+def build(physics: Physics, dynamics: str, preset: Preset, seed: int, decoder: str = "physics") -> Identifier:
     """A model with fresh first weights."""
     torch.manual_seed(seed)
     task = physics.task(dynamics)
     coded = _CODE if dynamics in ("purely_neural", "meta_hylad") else 0
     context = _context(task, preset)
     first = Stack(_FIRST, *_look(task), filters=preset.filters, pool=_pool(task))
-    return Identifier(task, context, first, code=coded, generator=torch.Generator().manual_seed(seed))
+    generator = torch.Generator().manual_seed(seed)
+    seen = decoder_of(decoder, task, preset.decoder)
+    return Identifier(task, context, first, code=coded, generator=generator, decoder=seen)
 
 
 def _context(task: Task, preset: Preset) -> nn.Module:

@@ -7,9 +7,8 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-import pandas as pd
-
 from petkin.hybrid import find_strategy, measure, place, train
+from petkin_bench.learning_tables import read_rows
 from petkin_bench.protocol import Job, Preset, build, counts, settings_of
 from petkin_bench.provenance import RESULTS, append_rows
 from petkin_bench.systems import draw, find_system
@@ -17,7 +16,7 @@ from petkin_bench.systems import draw, find_system
 _SEED_TRAIN, _SEED_TEST, _SEED_VALIDATION = 1, 2, 4
 #: Dynamics x starts that a run is checked on, where its settings ask for it.
 _VALIDATION = (24, 8)
-_KEY = ("table", "system", "dynamics", "strategy", "k_train", "seed", "preset")
+_KEY = ("table", "system", "dynamics", "strategy", "k_train", "seed", "preset", "decoder")
 
 
 def run_job(
@@ -44,7 +43,7 @@ def run_job(
     checkpoint = work / f"{preset.name}_{job.label}.safetensors"
     start = time.process_time()
     run = train(
-        lambda seed: build(physics, job.dynamics, preset, seed),
+        lambda seed: build(physics, job.dynamics, preset, seed, job.decoder),
         data,
         settings,
         checkpoint=checkpoint,
@@ -62,16 +61,15 @@ def run_job(
 
 def done(results: Path = RESULTS) -> set[tuple[str, ...]]:
     """Runs that have their rows."""
-    path = results / "learning.csv"
-    if not path.is_file():
+    if not (results / "learning.csv").is_file():
         return set()
-    table = pd.read_csv(path, dtype=str)
+    table = read_rows(results).astype(str)
     return set(table[list(_KEY)].itertuples(index=False, name=None))
 
 
 def key(job: Job, preset: Preset) -> tuple[str, ...]:
     """How `done` knows a run."""
-    return (job.table, job.system, job.dynamics, job.strategy, str(job.k), str(job.seed), preset.name)
+    return (job.table, job.system, job.dynamics, job.strategy, str(job.k), str(job.seed), preset.name, job.decoder)
 
 
 def _measured(job: Job, preset: Preset, model, remarks: str) -> list[dict[str, object]]:

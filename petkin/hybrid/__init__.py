@@ -2,6 +2,7 @@
 
 from petkin.hybrid.aggregate import Aggregate, Attention, mean
 from petkin.hybrid.checkpoint import load_model, load_tensors, save_tensors
+from petkin.hybrid.decoders import Decoder
 from petkin.hybrid.encoders import Curve, Head, SpatioTemporal, Stack
 from petkin.hybrid.episodes import Dataset, episodes, of_others
 from petkin.hybrid.field import HybridField
@@ -21,6 +22,7 @@ __all__ = [
     "Attention",
     "Curve",
     "Dataset",
+    "Decoder",
     "Emission",
     "Encoded",
     "Flow",

@@ -56,7 +56,7 @@ def _one(
     observed = task.emission.observe(states)
     found = strategy(model.encode(observed), k, model.aggregate)
     predicted = model.predict(found)
-    error = task.emission.squared_error(predicted, states)
+    error = model.squared_error(found, predicted, states)
     spread = data.states.flatten(0, 2).var(dim=0).clamp_min(1e-12)
     off = ((predicted - states) ** 2 / spread).mean(dim=-1)
     row = {

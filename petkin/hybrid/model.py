@@ -62,6 +62,7 @@ class Identifier(nn.Module):
         code: numbers in c_n; 0 for one f_NN of all dynamics.
         generator: draws the first weights of f_NN.
         aggregate: makes one c_p and c_n of those that several context series say.
+        decoder: (states [*b, T, d], c_p [*b, p]) -> observations, learned in place of the task's emission.
     """
 
     def __init__(
@@ -73,9 +74,11 @@ class Identifier(nn.Module):
         code: int,
         generator: torch.Generator,
         aggregate: Aggregate = mean,
+        decoder: nn.Module | None = None,
     ) -> None:
         super().__init__()
-        self.task, self.context, self.first, self.aggregate = task, context, first, aggregate
+        self.task, self.context, self.first = task, context, first
+        self.aggregate, self.decoder = aggregate, decoder
         self.to_initial = Head(int(first.features), len(task.states))  # type: ignore[arg-type]
         self.to_physics = Head(int(context.features), len(task.parameters))  # type: ignore[arg-type]
         coded = code if task.residual is not None else 0
@@ -115,6 +118,21 @@ class Identifier(nn.Module):
         """States at the task's times (or at others) from initial states, parameters and codes."""
         times = self.task.times if times is None else times
         return self.task.flow(self.field(found.code), found.initial, found.physics, times)
+
+    def observe(self, found: Encoded, states: Float[Tensor, "*b T d"]) -> Tensor:
+        """What is observed of predicted states."""
+        emission = self.task.emission
+        return emission.observe(states) if self.decoder is None else self.decoder(states, found.physics)
+
+    def squared_error(
+        self, found: Encoded, predicted: Float[Tensor, "*b T d"], actual: Float[Tensor, "*b T d"]
+    ) -> Float[Tensor, "*b T"]:
+        """Mean squared difference of what is observed of predicted and of actual states, a value a time."""
+        emission = self.task.emission
+        if self.decoder is None:
+            return emission.squared_error(predicted, actual)
+        off = self.decoder(predicted, found.physics) - emission.observe(actual)
+        return off.square().flatten(predicted.ndim - 1).mean(dim=-1)
 
     def residual(
         self, code: Float[Tensor, "*b q"], states: Float[Tensor, "*b T d"], physics: Float[Tensor, "*b p"]

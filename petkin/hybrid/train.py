@@ -179,7 +179,7 @@ def loss_of(model: Identifier, batch: Dataset, k: int, settings: Settings, step:
     found = find_strategy(settings.strategy)(model.encode(observed), k, model.aggregate)
     count = frames_at(step, settings, len(model.task.times))
     predicted = model.predict(found, model.task.times[:count])
-    error = model.task.emission.squared_error(predicted, batch.states[..., :count, :]).mean()
+    error = model.squared_error(found, predicted, batch.states[..., :count, :]).mean()
     price = penalty(model, found, predicted, norm=settings.norm, orthogonality=settings.orthogonality)
     return error + price, error, observed[:, :, :count].square().mean()
 

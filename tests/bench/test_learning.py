@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from petkin.errors import InputError
 from petkin_bench.cli import app
+from petkin_bench.decoding import DECODERS
 from petkin_bench.learning_tables import PUBLISHED, compare
 from petkin_bench.protocol import PRESETS, build, find_preset, jobs
 from petkin_bench.systems import DYNAMICS, SYSTEMS
@@ -40,6 +42,27 @@ def test_strategies_are_tested_on_both_tasks(tmp_path):
     assert set(published["method"]) == {"recon_hylad", "meta_hylad", "mixed_hylad"}
     assert set(published["split"]) == {"prediction", "reconstruction"}
     assert {"mse_cp", "mse_f"} <= set(published["metric"])
+
+
+def test_a_learned_decoder_stands_beside_the_published_one(tmp_path):
+    options = ["--system", "pendulum", "--preset", "tiny", "--work", str(tmp_path), "--results", str(tmp_path)]
+    done = CliRunner().invoke(app, ["run", "--decoder", "neural_prior", *options])
+    assert done.exit_code == 0, done.output
+    found = compare(tmp_path, "tiny").set_index(["table", "split", "metric"])
+    assert found.loc[("baselines", "ID", "mse_x"), "variant"] == "neural_prior"
+    assert found.loc[("baselines", "ID", "mse_x"), "published"] == pytest.approx(0.00029)
+    refused = CliRunner().invoke(app, ["run", "--decoder", "magic", *options])
+    assert "choose one of physics, neural_prior, neural, adaptive" in str(refused.exception)
+
+
+@pytest.mark.parametrize("name", DECODERS[1:])
+def test_a_decoder_draws_every_system(name):
+    for system in SYSTEMS:
+        model = build(system, "meta_hylad", find_preset("tiny"), 0, name)
+        pictures = system.emission.observe(torch.full((1, 1, len(system.times), len(system.states)), 0.5))
+        found = model.encode(pictures)
+        drawn = model.observe(found, found.initial[..., None, :])
+        assert drawn.shape == pictures[:, :, :1].shape
 
 
 def test_every_table_has_its_runs_and_every_model_can_be_built():

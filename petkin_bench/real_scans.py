@@ -134,11 +134,13 @@ def _drawn(noise: Noise, rng: np.random.Generator) -> Array:
 
 
 def _stepped(clock: FrameObservation, rng: np.random.Generator) -> Array:
-    return 1.0 + _STEP * (np.arange(len(clock.frames)) >= _middle(clock, rng))
+    later = np.arange(len(clock.frames)) >= _middle(clock, rng)
+    return 1.0 + _STEP * later.astype(np.float64)
 
 
 def _misjudged(clock: FrameObservation, rng: np.random.Generator) -> Array:
-    return 1.0 + _EXCESS * (np.arange(len(clock.frames)) == _middle(clock, rng))
+    hit = np.arange(len(clock.frames)) == _middle(clock, rng)
+    return 1.0 + _EXCESS * hit.astype(np.float64)
 
 
 def _middle(clock: FrameObservation, rng: np.random.Generator) -> int:

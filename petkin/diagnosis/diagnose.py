@@ -104,6 +104,7 @@ class Diagnosis:
         unknown_evidence: of a gap of no name.
         visible: what this design could tell.
         alike: cosines by pair of causes.
+        likely: the likeliest causes whether or not there is a gap, for what several data sets have in common.
     """
 
     channels: tuple[str, ...]
@@ -124,6 +125,7 @@ class Diagnosis:
     unknown_evidence: float
     visible: tuple[Visible, ...]
     alike: dict[frozenset[str], float]
+    likely: tuple[Cause, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -312,6 +314,7 @@ def _verdict(
         unknown_evidence=unknown_evidence,
         visible=foresee(simulator, base, scan.templates),
         alike=alike,
+        likely=causes,
     )
 
 

@@ -102,6 +102,11 @@ def report_path(scan: Mapping[str, str], *, desc: str, model: str = "", extensio
     return _path(scan, f"report{extension}", model=model, desc=desc)
 
 
+def cohort_report_path(*, desc: str, extension: str = ".html") -> PurePosixPath:
+    """Report on all scans, at the root of the derivatives: `group_desc-<what>_report.html`."""
+    return PurePosixPath(f"group_desc-{label(desc, entity='desc')}_report{extension}")
+
+
 def record_path(scan: Mapping[str, str]) -> PurePosixPath:
     """What a finished fit was made from and of: `<scan>_desc-fit_record.json`."""
     return _path(scan, "record.json", desc="fit")

@@ -1,5 +1,6 @@
 """Reporting: what a fit found, on one page that opens anywhere."""
 
+from petkin.reporting.cohort_report import CohortReport, render_cohort_report
 from petkin.reporting.contents import (
     FitReport,
     MapSet,
@@ -14,6 +15,7 @@ from petkin.reporting.input_curves import BloodSamples, InputCurves, curve_times
 
 __all__ = [
     "BloodSamples",
+    "CohortReport",
     "FitReport",
     "GapReport",
     "InputCurves",
@@ -23,6 +25,7 @@ __all__ = [
     "RegionCurves",
     "TruthRow",
     "curve_times",
+    "render_cohort_report",
     "render_fit_report",
     "render_gap_report",
     "write_fit_report",

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from petkin.diagnosis import Diagnosis, Visible, diagnose, foresee_design
+from petkin.diagnosis import Diagnosis, Member, Visible, diagnose, foresee_design, in_common
 from petkin.effects import EFFECTS
 from petkin.errors import InputError
 from petkin.imaging import FrameObservation
@@ -22,10 +22,11 @@ from petkin.io import (
     write_bytes,
     write_text,
 )
-from petkin.io.names import report_path
-from petkin.reporting import GapReport, RegionCurves, render_gap_report
+from petkin.io.names import cohort_report_path, report_path
+from petkin.reporting import CohortReport, GapReport, RegionCurves, render_cohort_report, render_gap_report
 from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.blood import recorded_input
+from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.sidecar import blunders
@@ -58,6 +59,8 @@ def _silent(_: str, __: float) -> None:
 def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tuple[Diagnosed, ...]:
     """Diagnose every scan of a study and write JSON and HTML, each scan whole or not at all.
 
+    Of several scans, what they share comes last, under the label "group".
+
     Raises:
         InputError: in one line, what makes a diagnosis impossible.
     """
@@ -65,7 +68,8 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
     name, out, sources = sources_of(request)
     require_own_folder(out)
     scans = [(source, *prepared(source, request)) for source in sources]
-    written = []
+    written: list[Diagnosed] = []
+    members: list[Member] = []
     for i, (source, curves, simulator) in enumerate(scans):
 
         def here(step: str, done: float, i: int = i, label: str = source.label) -> None:
@@ -103,8 +107,28 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             write_text(folder.path(relative.with_suffix(".json")), json_text(text))
             write_bytes(folder.path(relative), render_gap_report(report).encode())
         written.append(Diagnosed(source.label, text, out / relative))
+        members.append(Member.of(source.label, found))
+    if len(members) > 1:
+        written.append(_cohort(members, written, out, name, request))
     progress("done", 1.0)
     return tuple(written)
+
+
+def _cohort(
+    members: list[Member], written: list[Diagnosed], out: Path, name: str, request: DiagnoseRequest
+) -> Diagnosed:
+    """What the scans share, written beside them."""
+    started = time.process_time()
+    found = in_common(members)
+    seconds = sum(one.answer["provenance"]["seconds"] for one in written) + time.process_time() - started
+    text = cohort_answer(found, [one.answer for one in written], seed=request.seed, seconds=round(seconds, 2))
+    relative = cohort_report_path(desc="gap")
+    links = tuple(one.report.relative_to(out).as_posix() for one in written)
+    page = CohortReport(f"{name}: what {len(members)} scans share", text, links, request.command_line)
+    with AtomicFolder(out) as folder:
+        write_text(folder.path(relative.with_suffix(".json")), json_text(text))
+        write_bytes(folder.path(relative), render_cohort_report(page).encode())
+    return Diagnosed("group", text, out / relative)
 
 
 def foresee_study(request: DiagnoseRequest) -> tuple[tuple[str, str], ...]:

@@ -37,7 +37,7 @@ def answer(
     shown: tuple[Blunder, ...] = (),
 ) -> dict[str, Any]:
     """The whole answer, ready to be written; `shown` is what the sidecar tells without any curve."""
-    return _rounded(
+    return rounded(
         {
             "schema": SCHEMA,
             "subject": subject,
@@ -245,12 +245,12 @@ def _of_state(simulator: RegionalSimulator, state: State) -> dict[str, Array]:
     return _quantities(tissue.model, np.stack([np.asarray(tissue.rates[s]) for s in symbols], axis=-1))
 
 
-def _rounded(value: Any) -> Any:
+def rounded(value: Any) -> Any:
     """Plain numbers of six digits; what is not finite has no value."""
     if isinstance(value, dict):
-        return {key: _rounded(entry) for key, entry in value.items()}
+        return {key: rounded(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_rounded(entry) for entry in value]
+        return [rounded(entry) for entry in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):

@@ -1,0 +1,77 @@
+"""What data sets share: a cause too weak for each of them, who has it, how strong it is; nothing without a gap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from petkin.diagnosis import Cohort, Member, Term, diagnose, in_common
+
+from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
+
+SIMULATOR = DecayingChannels()
+#: An offset that most data sets do not show alone.
+WEAK = 0.04
+
+
+def members(strengths: list[float], seed: int, name: str = "ripple") -> list[Member]:
+    """Data sets with an effect of these strengths; 0 is none."""
+    found = []
+    for i, strength in enumerate(strengths):
+        rng = np.random.default_rng((seed, i))
+        terms = (Term(hypothesis(name), strength, {"pitch": 1.5} if name == "ripple" else {}),) if strength else ()
+        data = measured(rng, *terms)
+        found.append(Member.of(f"m{i}", diagnose(SIMULATOR, data, HYPOTHESES, draws=100, seed=i)))
+    return found
+
+
+@pytest.fixture(scope="module")
+def weak() -> tuple[list[Member], Cohort]:
+    kept = members([WEAK] * 8, 1, "offset")
+    return kept, in_common(kept)
+
+
+def test_a_cause_too_weak_for_each_is_named_by_all(weak: tuple[list[Member], Cohort]) -> None:
+    kept, cohort = weak
+    assert sum(m.p_value <= 0.03 for m in kept) <= 6
+    assert cohort.kind == "named"
+    assert cohort.chosen == ("offset",)
+    assert cohort.p_value < min(m.p_value for m in kept)
+    assert cohort.causes[0].prevalence.value > 0.7
+
+
+def test_its_strength_is_that_of_the_members(weak: tuple[list[Member], Cohort]) -> None:
+    mean = weak[1].causes[0].mean
+    assert mean is not None
+    assert mean.low < WEAK < mean.high
+    assert mean.high - mean.low < WEAK
+
+
+def test_who_carries_it() -> None:
+    strengths = [0.08, 0.0, 0.08, 0.0, 0.0, 0.08]
+    cohort = in_common(members(strengths, 2))
+    carriers = cohort.causes[0].carriers
+    assert cohort.causes[0].label == "ripple"
+    assert (carriers[[0, 2, 5]] > 0.9).all()
+    assert (carriers[[1, 3, 4]] < 0.5).all()
+    assert cohort.causes[0].prevalence.low < 0.5 < cohort.causes[0].prevalence.high
+
+
+def test_strengths_that_differ_between_members() -> None:
+    cohort = in_common(members([0.05, 0.1, 0.2, 0.3], 3))
+    assert cohort.causes[0].between is not None
+    assert cohort.causes[0].between > 0.05
+
+
+def test_members_without_a_gap_share_nothing() -> None:
+    alarms = sum(in_common(members([0.0] * 4, seed)).present for seed in range(10, 14))
+    assert alarms <= 1
+
+
+def test_causes_of_their_own_are_not_shared() -> None:
+    different = [members([size], seed, name)[0] for seed, name, size in ((4, "ripple", 0.1), (5, "offset", 0.2))]
+    calm = [members([0.0], seed)[0] for seed in range(6, 11)]
+    cohort = in_common([*different, *calm])
+    assert cohort.present
+    assert cohort.unshared > 0.1
+    assert all(c.prevalence.value < 0.5 for c in cohort.causes)

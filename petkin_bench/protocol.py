@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from petkin.errors import InputError
-from petkin.hybrid import Identifier, Settings, SpatioTemporal, Stack, Task
+from petkin.hybrid import Identifier, Moments, RungeKutta, Settings, SpatioTemporal, Stack, Task
 from petkin_bench.decoding import decoder_of
 from petkin_bench.systems import DYNAMICS, SYSTEMS, Physics, find_system
 
@@ -25,8 +25,9 @@ class Preset:
         name: tiny, cpu or paper.
         share: of the paper's dynamics and starts that are drawn for training.
         test: dynamics x starts of each test set.
-        filters: of the encoders.
-        spatio_temporal: the paper's context encoder instead of stacked frames.
+        filters: of the convolutions.
+        encoder: of contexts: moments, stack (frames as channels) or spatio_temporal (the paper's).
+        compiled: compile the steps of the rollout.
         settings: of the training, system by system where they differ from "".
         decoder: widths of a learned decoder.
     """
@@ -35,7 +36,8 @@ class Preset:
     share: tuple[float, float]
     test: tuple[int, int]
     filters: int
-    spatio_temporal: bool
+    encoder: str
+    compiled: bool
     settings: dict[str, Settings] = field(default_factory=dict)
     decoder: tuple[int, ...] = (32, 128)
 
@@ -46,18 +48,21 @@ class Preset:
 _TINY = Settings(steps=60, dynamics=6, series=6)
 _CPU = Settings(steps=3300)
 PRESETS = (
-    Preset("tiny", (0.2, 0.15), (6, 9), 4, False, {"": _TINY, "rigid_body": replace(_TINY, steps=6, series=3)}),
+    Preset(
+        "tiny", (0.2, 0.15), (6, 9), 4, "moments", False, {"": _TINY, "rigid_body": replace(_TINY, steps=6, series=3)}
+    ),
     Preset(
         "cpu",
         (1.0, 1.0),
         (24, 16),
         16,
-        False,
+        "moments",
+        True,
         {
             "": _CPU,
-            "mass_spring": Settings(steps=6000, rate=2e-3, horizon=6, curriculum=0.5),
-            "double_pendulum": Settings(steps=4000, rate=2e-3),
-            "bouncing_ball": Settings(steps=3000),
+            "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5),
+            "double_pendulum": Settings(steps=5000),
+            "bouncing_ball": Settings(steps=8000),
             "rigid_body": Settings(steps=800, series=4),
         },
     ),
@@ -66,6 +71,7 @@ PRESETS = (
         (1.0, 1.0),
         (38, 81),
         16,
+        "spatio_temporal",
         True,
         {"": Settings(steps=48_000, rate=1e-3, clip=5.0, warm_up=0.0)},
         (32, 128, 512),
@@ -142,17 +148,22 @@ def build(physics: Physics, dynamics: str, preset: Preset, seed: int, decoder: s
     """A model with fresh first weights."""
     torch.manual_seed(seed)
     task = physics.task(dynamics)
+    if preset.compiled and isinstance(task.flow, RungeKutta):
+        task = replace(task, flow=replace(task.flow, compiled=True))
     coded = _CODE if dynamics in ("purely_neural", "meta_hylad") else 0
-    context = _context(task, preset)
-    first = Stack(_FIRST, *_look(task), filters=preset.filters, pool=_pool(task))
+    context = _encoder(task, preset, len(task.times))
+    first = _encoder(task, preset, _FIRST)
     generator = torch.Generator().manual_seed(seed)
     seen = decoder_of(decoder, task, preset.decoder)
     return Identifier(task, context, first, code=coded, generator=generator, decoder=seen)
 
 
-def _context(task: Task, preset: Preset) -> nn.Module:
-    frames, (channels, size) = len(task.times), _look(task)
-    if preset.spatio_temporal:
+def _encoder(task: Task, preset: Preset, frames: int) -> nn.Module:
+    """Of a whole series, or of its first frames."""
+    channels, size = _look(task)
+    if preset.encoder == "moments":
+        return Moments(frames, channels, size)
+    if preset.encoder == "spatio_temporal" and frames > _FIRST:
         return SpatioTemporal(frames, channels, size, filters=preset.filters)
     return Stack(frames, channels, size, filters=preset.filters, pool=_pool(task))
 

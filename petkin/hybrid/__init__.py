@@ -3,7 +3,7 @@
 from petkin.hybrid.aggregate import Aggregate, Attention, mean
 from petkin.hybrid.checkpoint import load_model, load_tensors, save_tensors
 from petkin.hybrid.decoders import Decoder
-from petkin.hybrid.encoders import Curve, Head, SpatioTemporal, Stack
+from petkin.hybrid.encoders import Curve, Head, Moments, SpatioTemporal, Stack
 from petkin.hybrid.episodes import Dataset, episodes, of_others
 from petkin.hybrid.field import HybridField
 from petkin.hybrid.flow import Flow, RungeKutta
@@ -30,6 +30,7 @@ __all__ = [
     "HybridField",
     "HyperNetwork",
     "Identifier",
+    "Moments",
     "Network",
     "Residual",
     "Run",

@@ -85,6 +85,6 @@ DOUBLE_PENDULUM = Physics(
     everything=Residual(sees((0, 1, 2, 3), (1.0, 1.0, 3.0, 3.0)), 4, 4, into_rows(0, 1, 2, 3), bound=60.0),
     missing=_missing,
     energy=_energy,
-    flow=RungeKutta(4),
+    flow=RungeKutta(2),
     sizes=(165, 77),
 )

@@ -16,13 +16,15 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d, leaky_relu
+from torch.nn.functional import avg_pool2d, batch_norm, leaky_relu
 
 _SLOPE = 0.1
 #: Mean brightness below which a channel counts as dark, and the least width.
 _DARK = 1e-4
-#: Moments are magnified by this before the first convolution: small differences of place decide.
-_GAIN = 10.0
+#: Standardised moments are magnified by this before the first convolution: small differences of place decide.
+_GAIN = 5.0
+#: Batches that tell the mean and the spread of moments.
+_SETTLED = 100
 
 
 class Stack(nn.Module):
@@ -69,12 +71,13 @@ class Moments(nn.Module):
         features: numbers that come out.
     """
 
-    def __init__(self, frames: int, channels: int, size: int, *, filters: int = 48, features: int = 128) -> None:
+    def __init__(self, frames: int, channels: int, size: int, *, filters: int = 64, features: int = 128) -> None:
         super().__init__()
         along = (torch.arange(size) + 0.5) * (2.0 / size) - 1.0
         v, u = torch.meshgrid(along, along, indexing="ij")
         self.powers: Tensor
         self.register_buffer("powers", torch.stack([u * 0 + 1, u, v, u * u, v * v, u * v]).flatten(1), persistent=False)
+        self.usual = nn.BatchNorm1d(channels * len(self.powers), affine=False, eps=1e-3, momentum=None)
         widths = (channels * len(self.powers), *[filters] * 4)
         strides = (1, 2, 2, 2)
         over_time = [
@@ -93,7 +96,14 @@ class Moments(nn.Module):
         wide, high = (uu - u * u).clamp_min(_DARK), (vv - v * v).clamp_min(_DARK)
         slant = (uv - u * v) / torch.sqrt(wide * high)
         said = torch.cat([torch.log(mass + _DARK) / 4.0 + 1.0, u, v, 2.0 * wide.sqrt(), 2.0 * high.sqrt(), slant], -1)
-        return self.layers(_GAIN * said.movedim(1, -1))
+        return self.layers(_GAIN * self._standard(said.movedim(1, -1)))
+
+    def _standard(self, said: Float[Tensor, "n c T"]) -> Float[Tensor, "n c T"]:
+        """Over the mean and spread of the first batches; later ones add nothing, so training sees no batch noise."""
+        if self.training and int(self.usual.num_batches_tracked) < _SETTLED:  # type: ignore[arg-type]
+            with torch.no_grad():
+                self.usual(said)
+        return batch_norm(said, self.usual.running_mean, self.usual.running_var, eps=self.usual.eps)
 
 
 class SpatioTemporal(nn.Module):

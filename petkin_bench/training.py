@@ -55,7 +55,9 @@ def run_job(
         return []
     spent = time.process_time() - start
     rows = [row | {"cpu_s": spent} for row in _measured(job, preset, run.model, "; ".join(run.remarks))]
-    append_rows("learning", [row | {"settings": str(asdict(settings))} for row in rows], results)
+    append_rows(
+        "learning", [row | {"encoder": preset.encoder, "settings": str(asdict(settings))} for row in rows], results
+    )
     return rows
 
 

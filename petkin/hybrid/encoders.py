@@ -62,8 +62,8 @@ class Stack(nn.Module):
 class Moments(nn.Module):
     """How bright every frame's channels are, where, how wide and how slanted; then convolutions over time.
 
-    A spot's mean place tells its position far below a pixel at the cost of one small matrix product, where a convolution
-    over pixels has to learn it.
+    A spot's mean place tells its position far below a pixel at the cost of one small matrix product, where convolutions
+    over pixels have to learn it.
 
     Args:
         frames, channels, size: of a series [*b, frames, channels, size, size].
@@ -91,12 +91,16 @@ class Moments(nn.Module):
         self.frames, self.features = frames, features
 
     def forward(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n f"]:
+        return self.layers(_GAIN * self._standard(self.describe(series)))
+
+    def describe(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n c T"]:
+        """Brightness, place (u, v), widths and slant of every channel, in numbers of order one."""
         mass, *raw = (series[:, : self.frames].flatten(3) @ self.powers.T / self.powers.shape[1]).unbind(-1)
         u, v, uu, vv, uv = (moment / (mass + _DARK) for moment in raw)
         wide, high = (uu - u * u).clamp_min(_DARK), (vv - v * v).clamp_min(_DARK)
         slant = (uv - u * v) / torch.sqrt(wide * high)
-        said = torch.cat([torch.log(mass + _DARK) / 4.0 + 1.0, u, v, 2.0 * wide.sqrt(), 2.0 * high.sqrt(), slant], -1)
-        return self.layers(_GAIN * self._standard(said.movedim(1, -1)))
+        said = [torch.log(mass + _DARK) / 4.0 + 1.0, u, v, 2.0 * wide.sqrt(), 2.0 * high.sqrt(), slant]
+        return torch.cat(said, dim=-1).movedim(1, -1)
 
     def _standard(self, said: Float[Tensor, "n c T"]) -> Float[Tensor, "n c T"]:
         """Over the mean and spread of the first batches; later ones add nothing, so training sees no batch noise."""

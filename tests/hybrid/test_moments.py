@@ -1,0 +1,61 @@
+"""Moments tell where spots are; a compiled rollout says what the plain one says."""
+
+import pytest
+import torch
+
+from petkin.hybrid import Moments, RungeKutta
+
+
+def _spots(places: torch.Tensor) -> torch.Tensor:
+    """Series [n, T, 1, 32, 32] of round spots at places [n, T, 2]."""
+    middle = (torch.arange(32) + 0.5) / 16 - 1
+    across, down = (torch.exp(-0.5 * ((middle - places[..., i, None]) / 0.09) ** 2) for i in range(2))
+    return (down[..., :, None] * across[..., None, :])[:, :, None]
+
+
+def test_moments_tell_places_below_a_pixel():
+    encoder = Moments(4, 1, 32)
+    places = 1.2 * (torch.rand(16, 4, 2, generator=torch.Generator().manual_seed(0)) - 0.5)
+    said = encoder.describe(_spots(places))
+    found = torch.stack([said[:, 1], said[:, 2]], dim=-1)
+    # below a twentieth of a pixel: what is left is the mean brightness below which a channel counts as dark
+    assert (found - places).abs().max() < 0.05 * (2 / 32) + 0.01 * places.abs().max()
+
+
+def test_standard_values_settle_and_are_kept():
+    encoder, generator = Moments(4, 1, 32).train(), torch.Generator().manual_seed(0)
+    draws = [_spots(torch.rand(8, 4, 2, generator=generator) - 0.5) for _ in range(3)]
+    for series in draws:
+        encoder(series)
+    other = Moments(4, 1, 32)
+    other.load_state_dict(encoder.state_dict())
+    torch.testing.assert_close(other.eval()(draws[0]), encoder.eval()(draws[0]), rtol=0, atol=0)
+    kept = {name: value.clone() for name, value in encoder.usual.state_dict().items()}
+    encoder.usual.load_state_dict(kept | {"num_batches_tracked": torch.tensor(10_000)})
+    encoder.train()(draws[1])
+    torch.testing.assert_close(encoder.usual.state_dict()["running_mean"], kept["running_mean"], rtol=0, atol=0)
+
+
+def test_a_dark_channel_gives_finite_features_and_gradients():
+    series = torch.zeros(3, 4, 2, 16, 16, requires_grad=True)
+    encoder = Moments(4, 2, 16).eval()
+    encoder(series).sum().backward()
+    assert series.grad is not None
+    assert bool(torch.isfinite(series.grad).all())
+
+
+@pytest.mark.filterwarnings("ignore:The .grad attribute")
+def test_compiled_rollout_equals_the_plain_one():
+    def field(t, state, forcing, p):
+        return torch.stack([state[..., 1], -p[..., 0] * torch.sin(state[..., 0])], dim=-1)
+
+    generator = torch.Generator().manual_seed(1)
+    start, p = torch.randn(5, 2, generator=generator), 1.0 + torch.rand(5, 1, generator=generator)
+    found = []
+    for compiled in (False, True):
+        stiffness = p.clone().requires_grad_()
+        states = RungeKutta(2, compiled=compiled)(field, start, stiffness, torch.arange(4) * 0.3)
+        (gradient,) = torch.autograd.grad(states.square().sum(), stiffness)
+        found.append((states.detach(), gradient))
+    for plain, fast in zip(*found):
+        torch.testing.assert_close(fast, plain, rtol=1e-5, atol=1e-6)

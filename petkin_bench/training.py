@@ -41,6 +41,7 @@ def run_job(
     physics, settings = find_system(job.system), replace(settings_of(job, preset), episodes=episodes)
     data = draw(physics, *counts(physics, preset), seed=_SEED_TRAIN)
     checkpoint = work / f"{preset.name}_{job.label}.safetensors"
+    torch.compiler.reset()  # one process compiles only so many forms of a function, and each run has its own
     start = time.process_time()
     run = train(
         lambda seed: build(physics, job.dynamics, preset, seed, job.decoder),

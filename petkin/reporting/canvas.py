@@ -43,7 +43,7 @@ _STYLE = {
     "path.simplify_threshold": 0.1,
 }
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
-_PIXELS_PER_INCH = 96
+_PIXELS_PER_INCH, _POINTS_PER_INCH = 96, 72
 _ROUND_MINUTES = (
     0.0,
     0.1,
@@ -98,9 +98,17 @@ def picture(figure: Figure, *, alt: str, heading: str = "", caption: str = "", z
     """The figure as an SVG data URI, shown `zoom` times its size. Call within `drawing()`."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", dpi=144, metadata=_NO_METADATA)
-    svg = _shortened(buffer.getvalue())
+    width, height = _POINTS_PER_INCH * figure.get_size_inches()
+    size = float(width), float(height)
+    return embedded(_shortened(buffer.getvalue()), size, alt=alt, heading=heading, caption=caption, zoom=zoom)
+
+
+def embedded(
+    svg: str, size: tuple[float, float], *, alt: str, heading: str = "", caption: str = "", zoom: float = 1.0
+) -> Picture:
+    """An SVG of so many points as a data URI, shown `zoom` times its size."""
     uri = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode("ascii")
-    width, height = (round(zoom * _PIXELS_PER_INCH * inches) for inches in figure.get_size_inches())
+    width, height = (round(zoom * _PIXELS_PER_INCH * points / _POINTS_PER_INCH) for points in size)
     return Picture(uri, width, height, alt, heading, caption)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from petkin.errors import InputError
 from petkin.fitting.results import FitResult, Status
@@ -49,14 +49,14 @@ class ParameterMap:
     Args:
         symbol: e.g. "VT"; "chi2" for the reduced chi-square.
         unit: unit of `value`; "" or "1" for none.
-        value: [x, y, z], NaN where there is none.
-        percent_se: standard error in percent of the value, [x, y, z], or None.
+        value: one a voxel of the mask (N,), NaN where there is none; anything that becomes an array when it is asked.
+        percent_se: standard error in percent of the value (N,), or None.
     """
 
     symbol: str
     unit: str
-    value: NDArray[np.floating]
-    percent_se: NDArray[np.floating] | None = None
+    value: ArrayLike
+    percent_se: ArrayLike | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class MapSet:
 
     Args:
         maps: one map a quantity.
-        status: `petkin.fitting.results.Status` codes, [x, y, z].
+        status: `petkin.fitting.results.Status` codes of the voxels in the mask (N,).
+        mask: where they belong, [x, y, z], the first axis running fastest.
         voxel_mm: voxel edges along the three array axes, mm.
         axes: direction of rising index along each array axis, as `nibabel.aff2axcodes` gives it ("RAS", "LPS", ...);
             empty when it is not known: then planes are named after array axes and no side is marked.
@@ -75,32 +76,39 @@ class MapSet:
 
     maps: tuple[ParameterMap, ...]
     status: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
     voxel_mm: tuple[float, float, float]
     axes: str = ""
     settings: Mapping[str, object] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
     @cached_property
-    def inside(self) -> NDArray[np.bool_]:
-        """The mask."""
-        return self.status != Status.OUTSIDE
+    def numbers(self) -> NDArray[np.int32]:
+        """Which of the values a voxel has, [x, y, z]; -1 outside of the mask."""
+        flat = np.full(self.mask.size, -1, np.int32)
+        flat[self.mask.ravel(order="F")] = np.arange(self.status.size, dtype=np.int32)
+        return flat.reshape(self.mask.shape, order="F")
 
     @cached_property
     def planes(self) -> list[Plane]:
         """Where its pictures are cut."""
-        return orthogonal_planes(self.inside, self.voxel_mm, self.axes)
+        return orthogonal_planes(self.mask, self.voxel_mm, self.axes)
 
     def __post_init__(self) -> None:
-        if self.status.ndim != 3:
-            raise InputError(f"The status map of a report has shape {self.status.shape}; it must have three axes.")
+        if self.mask.ndim != 3:
+            raise InputError(f"The mask of a report's maps has shape {self.mask.shape}; it must have three axes.")
         _check_codes(self.status, "The status map of a report")
+        inside = (int(np.count_nonzero(self.mask)),)
+        shapes = {"status": self.status.shape}
         for entry in self.maps:
-            for volume in (entry.value, entry.percent_se):
-                if volume is not None and volume.shape != self.status.shape:
-                    raise InputError(
-                        f"The {entry.symbol} map has shape {volume.shape} but the status map {self.status.shape}; "
-                        "all maps of a report must share one grid."
-                    )
+            shapes |= {entry.symbol: np.shape(entry.value)}
+            shapes |= {} if entry.percent_se is None else {f"SE of {entry.symbol}": np.shape(entry.percent_se)}
+        for name, shape in shapes.items():
+            if shape != inside:
+                raise InputError(
+                    f"The {name} map of a report has shape {shape} but its mask holds {inside[0]} voxels; give one "
+                    "value a voxel."
+                )
         if self.axes and sorted(map("RLAPSI".find, self.axes.upper())) not in _one_of_each():
             raise InputError(f"Axis directions {self.axes!r} are not three of R/L, A/P and S/I; give e.g. 'RAS'.")
 

@@ -25,6 +25,8 @@ _LONG_NAMES = {"AIF": "AIF (parent in plasma)"}
 _DECADES = 4.0
 #: More samples than this come from an autosampler and get small points.
 _DENSE = 60
+#: Such points are left out where they would hide each other: their distance as a share of the plot's diagonal.
+_APART = 0.004
 
 
 def input_pictures(curves: InputCurves) -> list[Picture]:
@@ -56,7 +58,7 @@ def rise_figure(curves: InputCurves) -> Figure:
     """The first minutes on linear axes."""
     figure, ax = _activity_axes()
     end = early_end(curves)
-    _draw_activity(ax, curves)
+    _draw_activity(ax, curves, end)
     shown = [v[t <= end] for t, v in _activities(curves).values()] + [
         s.value[s.time <= end] for s in curves.samples if s.curve != "parent fraction"
     ]
@@ -77,7 +79,7 @@ def course_figure(curves: InputCurves) -> Figure:
     ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter(NullFormatter())
-    _draw_activity(ax, curves)
+    _draw_activity(ax, curves, float(curves.time[-1]))
     ax.set_xlim(0, 1.02 * float(curves.time[-1]))
     if curves.end < curves.time[-1]:
         ax.axvline(curves.end, color="#5b6675", linewidth=0.8, linestyle=":")
@@ -129,15 +131,17 @@ def _activities(curves: InputCurves) -> dict[str, tuple[np.ndarray, np.ndarray]]
     return {name: (curves.time, values) for name, values in found.items() if values is not None}
 
 
-def _draw_activity(ax: Axes, curves: InputCurves) -> None:
+def _draw_activity(ax: Axes, curves: InputCurves, until: float) -> None:
     for name, (time, values) in _activities(curves).items():
         colour, line, _ = _LOOKS[name]
         ax.plot(time, values, color=colour, linestyle=line, linewidth=1.2, label=_LONG_NAMES.get(name, name))
     for samples in curves.samples:
         if samples.curve != "parent fraction":
             colour, _, marker = _LOOKS.get(samples.curve, ("#5b6675", "-", "x"))
-            size = 2.8 if samples.time.size <= _DENSE else 1.2
-            ax.plot(samples.time, samples.value, color=colour, marker=marker, markersize=size, linestyle="none")
+            size, apart = (2.8, None) if samples.time.size <= _DENSE else (1.2, _APART)
+            look = {"color": colour, "marker": marker, "markersize": size, "markevery": apart}
+            shown = samples.time <= until
+            ax.plot(samples.time[shown], samples.value[shown], linestyle="none", **look)
 
 
 def _describe_parent(curves: InputCurves) -> str:

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from petkin.fitting.results import Estimate, FitResult, Status
 from petkin.reporting.comparison import Comparison
 from petkin.reporting.contents import MapSet, ModelSection, RegionCurves, TruthRow
+from petkin.reporting.quantiles import ordered, percentiles
 from petkin.reporting.verdict import headline_symbols, status_counts
 from petkin.reporting.wording import (
     MISSING,
@@ -99,14 +100,12 @@ def map_table(maps: MapSet) -> Table:
     good = maps.status == Status.OK
     rows = []
     for entry in maps.maps:
-        values = entry.value[good & np.isfinite(entry.value)]
-        quartiles = np.percentile(values, (25, 50, 75)) if values.size else np.full(3, np.nan)
-        errors = np.full(1, np.nan) if entry.percent_se is None else entry.percent_se[good]
-        errors = errors[np.isfinite(errors)]
-        median_error = percent(float(np.median(errors))) if errors.size else MISSING
-        numbers = [Cell(number(float(q))) for q in quartiles]
+        values = ordered(np.asarray(entry.value)[good])
+        errors = np.empty(0) if entry.percent_se is None else ordered(np.asarray(entry.percent_se)[good])
+        numbers = [Cell(number(q)) for q in percentiles(values, (25, 50, 75))]
+        median_error = Cell(percent(*percentiles(errors, (50,))))
         head = Cell(symbol_html(entry.symbol), unit_text(entry.unit))
-        rows.append((head, *numbers, Cell(median_error), Cell(count(int(values.size)))))
+        rows.append((head, *numbers, median_error, Cell(count(int(values.size)))))
     names = ("Map", "25th percentile", "Median", "75th percentile", "Median SE", "Voxels")
     return Table("Voxels fitted without a flag.", tuple((n, "") for n in names), tuple(rows))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from petkin.fitting.results import FitResult, Status
 from petkin.reporting.comparison import compare
 from petkin.reporting.contents import FitReport, MapSet, ModelSection, RegionCurves
+from petkin.reporting.quantiles import ordered, percentiles
 from petkin.reporting.residuals import sign_runs
 from petkin.reporting.wording import count, joined, percent, status_kind, status_short
 
@@ -153,12 +154,12 @@ def _regional_errors(fit: FitResult) -> dict[str, float]:
 
 def _voxel_errors(maps: MapSet) -> dict[str, float]:
     errors = {m.symbol: m.percent_se for m in maps.maps if m.percent_se is not None}
-    return {s: _median(errors[s][maps.status == Status.OK]) for s in headline_symbols(tuple(errors))}
+    good = maps.status == Status.OK
+    return {s: _median(np.asarray(errors[s])[good]) for s in headline_symbols(tuple(errors))}
 
 
 def _median(values: NDArray[np.floating]) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if finite.size else float("nan")
+    return percentiles(ordered(values), (50,))[0]
 
 
 def _median_errors(errors: dict[str, float]) -> str:

@@ -113,15 +113,26 @@ def symbol_html(symbol: str) -> Markup:
     return escape(base) + lowered + escape("".join(rest))
 
 
-def symbol_math(symbol: str) -> str:
-    """A known symbol as mathematical text for figures; unknown ones with their dollar signs made harmless."""
-    base, index, *rest = _SYMBOLS.get(symbol, (symbol.replace("$", r"\$"), ""))
-    return f"{base}$_{{\\mathrm{{{index}}}}}${''.join(rest)}" if index else base
+def symbol_svg(symbol: str, after: str) -> Markup:
+    """A symbol with its index lowered, and what follows it, as the content of an SVG text."""
+    base, index, *rest = _SYMBOLS.get(symbol, (symbol, ""))
+    after = "".join(rest) + after
+    if not index:
+        return escape(base + after)
+    lowered = '{}<tspan dy="0.35em" font-size="70%">{}</tspan><tspan dy="-0.245em">{}</tspan>'
+    return Markup(lowered).format(base, index, after)
 
 
-def with_unit(name: str, unit: str) -> str:
-    """An axis label: name and unit in brackets."""
-    return f"{name} ({unit_text(unit) or 'unitless'})"
+def round_values(low: float, high: float) -> dict[float, str]:
+    """A few round numbers between two, and how they read: all with as many decimals."""
+    from matplotlib.ticker import MaxNLocator
+
+    values = [float(v) for v in MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high) if low <= v <= high]
+    texts = [f"{value:.10g}" for value in values]
+    if not any("e" in text for text in texts):
+        decimals = max((len(text.partition(".")[2]) for text in texts), default=0)
+        texts = [f"{value:.{decimals}f}" for value in values]
+    return dict(zip(values, map(_signed, texts)))
 
 
 def status_short(status: Status) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.fitting import FitResult, Status, agreement
+from petkin.fitting import FitResult, agreement
 from petkin.inputs import InputFunction
 from petkin.methods import find_method
 from petkin.reporting import (
@@ -26,7 +26,7 @@ from petkin.reporting import (
 from petkin.study.fit_scan import ScanFit
 from petkin.study.geometry import geometry_methods
 from petkin.study.request import FitRequest
-from petkin.study.series import StoredVolume
+from petkin.study.series import StoredValues
 
 _OBSERVED = {
     "frame": "Frame values are decay-weighted means of the model over each frame, as a scanner's decay-corrected "
@@ -142,15 +142,16 @@ def _maps(result: FitResult, fit: ScanFit) -> MapSet:
     assert voxels is not None
     mm: Any = tuple(float(v) for v in voxels.series.voxel_mm)
 
-    def volume(values: NDArray[np.floating]) -> Any:
-        return StoredVolume(voxels, values) if voxels.plan.on_disk else voxels.volume(values, np.nan)
+    def held(values: NDArray[np.floating]) -> Any:
+        return StoredValues(voxels, values) if voxels.plan.on_disk else values
 
     return MapSet(
         maps=(
-            *(ParameterMap(e.symbol, e.unit, volume(e.value), volume(e.percent_se)) for e in result.estimates),
-            ParameterMap("chi2", "", volume(result.chi2)),
+            *(ParameterMap(e.symbol, e.unit, held(e.value), held(e.percent_se)) for e in result.estimates),
+            ParameterMap("chi2", "", held(result.chi2)),
         ),
-        status=voxels.volume(result.status, Status.OUTSIDE),
+        status=result.status,
+        mask=voxels.mask,
         voxel_mm=mm,
         axes=_axes(voxels.series.affine),
         settings=result.settings,

@@ -79,23 +79,22 @@ class VoxelCurves:
         return flat.reshape(self.mask.shape, order="F")
 
 
-class StoredVolume:
-    """One value a voxel, put on the grid whenever it is looked at: for reports on maps that do not fit into memory.
+class StoredValues:
+    """One value a voxel, copied whenever it is looked at: for reports on maps that do not fit into memory.
 
     Args:
-        voxels: where the values belong.
-        values: (N,).
+        voxels: whose values.
+        values: (N,), in a file.
     """
 
     def __init__(self, voxels: VoxelCurves, values: NDArray[np.float32]) -> None:
-        self.shape, self.ndim = voxels.mask.shape, voxels.mask.ndim
-        self._voxels, self._values = voxels, values
+        self.shape = values.shape
+        self._plan, self._values = voxels.plan, values
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.float32]:
-        return self._voxels.volume(self._values, np.nan).astype(dtype or np.float32, copy=False)
-
-    def __getitem__(self, key: Any) -> NDArray[np.float32]:
-        return np.asarray(self)[key]
+        values = self._values.astype(dtype or self._values.dtype)
+        self._plan.release()
+        return values
 
 
 def choose_mask(

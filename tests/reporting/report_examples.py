@@ -154,6 +154,22 @@ def brain(shape: tuple[int, int, int]) -> NDArray:
     return labels
 
 
+def maps_of(
+    entries: tuple[ParameterMap, ...], status: NDArray, voxel_mm: tuple[float, float, float], axes: str = ""
+) -> MapSet:
+    """Maps given as volumes, with a status that is OUTSIDE outside of the mask."""
+    mask = np.asfortranarray(status != Status.OUTSIDE)
+
+    def inside(volume: NDArray) -> NDArray:
+        return volume.T[mask.T]
+
+    kept = (
+        ParameterMap(e.symbol, e.unit, inside(e.value), None if e.percent_se is None else inside(e.percent_se))
+        for e in entries
+    )
+    return MapSet(tuple(kept), inside(status), mask, voxel_mm, axes, {"smoothing": "none"})
+
+
 def map_set(shape: tuple[int, int, int], symbols: tuple[str, ...] = ("K1", "VT", "vB"), axes: str = "RAS") -> MapSet:
     rng = np.random.default_rng(7)
     labels, k = brain(shape), kinetics(12)
@@ -171,7 +187,7 @@ def map_set(shape: tuple[int, int, int], symbols: tuple[str, ...] = ("K1", "VT",
         error[status == Status.NOT_IDENTIFIABLE] = 150
         maps.append(ParameterMap(symbol, UNITS[symbol], value, error.astype(np.float32)))
     chi2 = np.where(labels > 0, rng.gamma(18, 1 / 18, shape), np.nan).astype(np.float32)
-    return MapSet((*maps, ParameterMap("chi2", "", chi2)), status, (4.0, 4.0, 4.0), axes, {"smoothing": "none"})
+    return maps_of((*maps, ParameterMap("chi2", "", chi2)), status, (4.0, 4.0, 4.0), axes)
 
 
 def report(count: int = 12, *, maps: tuple[int, int, int] | None = (20, 24, 20), models: int = 2) -> FitReport:

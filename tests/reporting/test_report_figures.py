@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+import base64
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from petkin.fitting.results import Status
 from petkin.imaging import FrameSchedule
-from petkin.reporting import InputCurves, MapSet, ParameterMap, RegionCurves
+from petkin.reporting import BloodSamples, InputCurves, RegionCurves
 from petkin.reporting.canvas import drawable, drawing
 from petkin.reporting.curve_figures import CurvePanel, chosen_regions, heat_figure
-from petkin.reporting.input_figures import course_figure, early_end, parent_figure, rise_figure
-from petkin.reporting.map_figures import (
-    STATUS_COLOURS,
-    error_figure,
-    robust_limits,
-    status_figure,
-    value_figure,
-)
+from petkin.reporting.input_figures import course_figure, early_end, input_pictures, parent_figure, rise_figure
 from petkin.reporting.residuals import standardised_residuals
 
 from . import report_examples as examples
+
+FIGURES = (rise_figure, course_figure)
 
 
 @pytest.fixture(autouse=True)
@@ -133,11 +128,21 @@ def test_input_axes_carry_units_and_samples_are_points() -> None:
     assert (rise.get_yscale(), course.get_yscale()) == ("linear", "log")
     assert rise.get_xlim()[1] == pytest.approx(early_end(curves))
     assert course.get_xlim()[1] >= 90
-    for ax in (rise, course):
+    for ax, samples in ((rise, 6), (course, 16)):  # the close-up has those of its own time
         points = [line for line in ax.lines if line.get_linestyle() == "None"]
-        assert [np.size(line.get_xdata()) for line in points] == [16, 16]
+        assert [np.size(line.get_xdata()) for line in points] == [samples, samples]
         lines = [line for line in ax.lines if line.get_linestyle() != "None"]
         assert len({line.get_linestyle() for line in lines}) == 3
+
+
+def test_of_a_dense_record_only_what_can_be_seen_is_drawn() -> None:
+    seconds = np.linspace(0.0, 60.0, 3601)
+    sampler = BloodSamples("whole blood", seconds, 50 * np.exp(-seconds / 30))
+    curves = InputCurves(seconds, sampler.value, samples=(sampler,), whole_blood=sampler.value)
+    shown = [next(line for line in f(curves).axes[0].lines if line.get_linestyle() == "None") for f in FIGURES]
+    assert [np.size(line.get_xdata()) for line in shown] == [121, 3601]
+    svg = base64.b64decode(input_pictures(curves)[1].uri.split(",")[1]).decode()
+    assert 100 < svg.count("<use") < 400
 
 
 def test_input_that_is_zero_or_unknown_is_drawn() -> None:
@@ -147,65 +152,6 @@ def test_input_that_is_zero_or_unknown_is_drawn() -> None:
         assert rise_figure(curves).axes[0].get_ylim()[0] == 0
         low, high = course_figure(curves).axes[0].get_ylim()
         assert 0 < low < high
-
-
-def test_map_has_three_planes_at_one_scale_and_one_bar_with_unit() -> None:
-    maps = examples.map_set((16, 20, 16))
-    figure = value_figure(maps, maps.maps[0])
-    assert [ax.get_title() for ax in figure.axes] == ["axial, k = 8", "coronal, j = 10", "sagittal, i = 8", ""]
-    assert figure.axes[-1].get_ylabel() == "K$_{\\mathrm{1}}$ (mL/cm³/min)"
-    assert error_figure(maps, maps.maps[1]).axes[-1].get_ylabel() == "SE of V$_{\\mathrm{T}}$ (%)"
-    assert value_figure(maps, maps.maps[2]).axes[-1].get_ylabel() == "v$_{\\mathrm{B}}$ (unitless)"
-    width, height = figure.get_size_inches()
-    scales = set()
-    for ax in figure.axes[:3]:
-        box, (left, right), (low, high) = ax.get_position(), ax.get_xlim(), ax.get_ylim()
-        scales |= {round(box.width * width / (right - left), 6), round(box.height * height / (high - low), 6)}
-    assert len(scales) == 1
-
-
-def test_map_colours_hide_the_background_and_show_missing_values_grey() -> None:
-    value = np.arange(64.0).reshape(4, 4, 4)
-    status = np.zeros((4, 4, 4), np.uint8)
-    status[0, 0, :] = Status.OUTSIDE
-    value[1, 0, :] = np.nan
-    maps = MapSet((ParameterMap("VT", "mL/cm3", value),), status, (2.0, 2.0, 2.0), "RAS")
-    axial = np.asarray(value_figure(maps, maps.maps[0]).axes[0].images[0].get_array())
-    assert axial[0, 0, 3] == 0
-    np.testing.assert_allclose(axial[0, 1], [0.72, 0.72, 0.72, 1])
-    assert (axial[1:, :, 3] == 1).all()
-
-
-def test_standard_error_colours_end_at_a_hundred_percent() -> None:
-    status = np.zeros((5, 5, 5), np.uint8)
-    ones = np.ones((5, 5, 5))
-    for percent, top in ((400.0, 100.0), (8.0, 8.8)):
-        maps = MapSet((ParameterMap("K1", "mL/cm3/min", ones, percent * ones),), status, (2.0, 2.0, 2.0))
-        low, high = error_figure(maps, maps.maps[0]).axes[-1].get_ylim()
-        assert (low, high) == pytest.approx((0, top))
-
-
-def test_status_map_legend_counts_each_status_with_its_own_colour() -> None:
-    status = np.zeros((10, 10, 1), np.uint8)
-    status[0, :5], status[1, :] = Status.AT_BOUND, Status.OUTSIDE
-    figure = status_figure(MapSet((), status, (2.0, 2.0, 2.0)))
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["fitted (94\u202f%)", "on a bound (5.6\u202f%)"]
-    assert len(figure.axes) == 1
-    assert len(set(STATUS_COLOURS.values())) == len(Status) - 1
-
-
-@pytest.mark.parametrize(
-    ("values", "limits"),
-    [
-        (np.array([np.nan, np.inf]), (0.0, 1.0)),
-        (np.zeros(5), (-1.0, 1.0)),
-        (np.full(5, 2.0), (1.8, 2.2)),
-        (np.append(np.linspace(0, 1, 101), np.nan), (0.02, 0.98)),
-    ],
-)
-def test_robust_limits(values: np.ndarray, limits: tuple[float, float]) -> None:
-    assert robust_limits(values) == pytest.approx(limits)
 
 
 def test_any_name_becomes_one_drawable_line() -> None:

@@ -14,7 +14,15 @@ import pytest
 
 from petkin.errors import InputError
 from petkin.fitting.results import FitResult, Status
-from petkin.reporting import FitReport, ModelSection, RegionCurves, render_fit_report, write_fit_report
+from petkin.reporting import (
+    FitReport,
+    MapSet,
+    ModelSection,
+    ParameterMap,
+    RegionCurves,
+    render_fit_report,
+    write_fit_report,
+)
 
 from . import report_examples as examples
 
@@ -235,11 +243,13 @@ def test_maps_alone_make_a_report() -> None:
 
 def test_empty_mask_and_valueless_maps_are_drawn() -> None:
     maps = examples.map_set((8, 8, 8))
-    nothing = replace(maps, status=np.full((8, 8, 8), Status.OUTSIDE, np.uint8))
-    blank = replace(maps, maps=tuple(replace(m, value=np.full((8, 8, 8), np.nan, np.float32)) for m in maps.maps))
-    for case in (nothing, blank):
+    nothing = MapSet((), np.empty(0, np.uint8), np.zeros((8, 8, 8), np.bool_), (4.0, 4.0, 4.0))
+    empty = replace(nothing, maps=(ParameterMap("VT", "mL/cm3", np.empty(0), np.empty(0)),))
+    blank = replace(maps, maps=tuple(replace(m, value=np.full(np.shape(m.value), np.nan)) for m in maps.maps))
+    for case in (empty, blank):
         text = _Page(render_fit_report(FitReport("maps", (ModelSection("2TCM", maps=case),)))).text
         assert "n/a" in text
+    assert "the mask holds no voxel" in render_fit_report(FitReport("maps", (ModelSection("2TCM", maps=nothing),)))
 
 
 def test_interrupted_scan_negative_start_and_excluded_frames() -> None:

@@ -31,6 +31,7 @@ from . import report_examples as examples
 
 FRAMES = examples.frames([60, 60])
 WEIGHTS = np.ones(2)
+MASK = np.ones((3, 3, 3), np.bool_)
 
 
 def _fit(
@@ -91,9 +92,8 @@ def test_voxels_are_counted_inside_the_mask_only() -> None:
     status = np.full((10, 10, 10), Status.OUTSIDE, np.uint8)
     status[:5] = Status.OK
     status[0, 0] = Status.AT_BOUND
-    maps = MapSet(
-        (ParameterMap("VT", "mL/cm3", np.ones(status.shape), np.full(status.shape, 12.0)),), status, (1, 1, 1)
-    )
+    entry = ParameterMap("VT", "mL/cm3", np.ones(status.shape), np.full(status.shape, 12.0))
+    maps = examples.maps_of((entry,), status, (1, 1, 1))
     verdict = judge(_report(ModelSection("Logan", maps=maps)))
     assert verdict.grade == "clear"
     assert _words(verdict.sentences[0]) == (
@@ -179,12 +179,16 @@ def test_input_curves_come_from_an_input_function_with_its_samples() -> None:
             ),
             "2 curves",
         ),
-        (lambda: MapSet((), np.zeros((3, 3), np.uint8), (1, 1, 1)), "three axes"),
-        (lambda: MapSet((), np.full((3, 3, 3), 99, np.uint8), (1, 1, 1)), "code 99"),
-        (lambda: MapSet((), np.zeros((3, 3, 3), np.uint8), (1, 1, 1), "RRS"), "'RRS'"),
+        (lambda: MapSet((), np.zeros(9, np.uint8), MASK[0], (1, 1, 1)), "three axes"),
+        (lambda: MapSet((), np.full(27, 99, np.uint8), MASK, (1, 1, 1)), "code 99"),
+        (lambda: MapSet((), np.zeros(27, np.uint8), MASK, (1, 1, 1), "RRS"), "'RRS'"),
+        (lambda: MapSet((), np.zeros(26, np.uint8), MASK, (1, 1, 1)), "status map .* 27 voxels"),
+        (lambda: MapSet((ParameterMap("VT", "", np.ones(9)),), np.zeros(27, np.uint8), MASK, (1, 1, 1)), "VT map"),
         (
-            lambda: MapSet((ParameterMap("VT", "", np.ones((2, 3, 3))),), np.zeros((3, 3, 3), np.uint8), (1, 1, 1)),
-            "VT map",
+            lambda: MapSet(
+                (ParameterMap("VT", "", np.ones(27), np.ones((3, 9))),), np.zeros(27, np.uint8), MASK, (1, 1, 1)
+            ),
+            "SE of VT map",
         ),
         (lambda: InputCurves(np.ones(3), np.ones(4)), "aif curve has 4 values for 3 times"),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from xml.etree import ElementTree
+
 import pytest
 
 from petkin.fitting.results import Status
@@ -11,14 +13,14 @@ from petkin.reporting.wording import (
     joined,
     number,
     percent,
+    round_values,
     status_kind,
     status_mark,
     status_short,
     symbol_html,
-    symbol_math,
+    symbol_svg,
     unit_text,
     value_with_error,
-    with_unit,
 )
 
 
@@ -82,12 +84,33 @@ def test_units_and_symbols() -> None:
     assert unit_text("mL cm^-3 min^-1") == "mL cm⁻³ min⁻¹"
     assert unit_text("1/min") == "min⁻¹"
     assert unit_text("1") == ""
-    assert with_unit("VT", "mL/cm3") == "VT (mL/cm³)"
-    assert with_unit("vB", "") == "vB (unitless)"
     assert symbol_html("BPND") == "BP<sub>ND</sub>"
     assert symbol_html("k2'") == "k<sub>2</sub>′"
     assert symbol_html("<b>") == "&lt;b&gt;"
-    assert symbol_math("a$b") == r"a\$b"
+
+
+def test_symbols_in_pictures_keep_their_index_and_what_follows() -> None:
+    for symbol, text in (("VT", "VT (mL)"), ("k2'", "k2′ (mL)"), ("chi2", "reduced χ² (mL)"), ("<b>", "<b> (mL)")):
+        line = ElementTree.fromstring(f"<text>{symbol_svg(symbol, ' (mL)')}</text>")
+        assert "".join(line.itertext()) == text
+        spans = [float(span.get("dy", "0")[:-2]) * (0.7 if span.get("font-size") else 1.0) for span in line]
+        assert sum(spans) == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "texts"),
+    [
+        (0.0, 0.8, ["0.0", "0.2", "0.4", "0.6", "0.8"]),
+        (-1.0, 1.0, ["−1.0", "−0.5", "0.0", "0.5", "1.0"]),
+        (0.07, 1.12, ["0.2", "0.4", "0.6", "0.8", "1.0"]),
+        (1000.1, 1000.3, ["1000.10", "1000.15", "1000.20", "1000.25", "1000.30"]),
+        (2e-9, 9e-9, ["2e−09", "4e−09", "6e−09", "8e−09"]),
+    ],
+)
+def test_a_scale_has_a_few_round_values(low: float, high: float, texts: list[str]) -> None:
+    values = round_values(low, high)
+    assert list(values.values()) == texts
+    assert [float(text.replace("−", "-")) for text in texts] == pytest.approx(list(values))
 
 
 def test_counts_and_lists() -> None:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import torch
+
 from petkin.hybrid import find_strategy, measure, place, train
 from petkin_bench.learning_tables import read_rows
 from petkin_bench.protocol import Job, Preset, build, counts, settings_of

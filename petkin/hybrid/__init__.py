@@ -10,11 +10,13 @@ from petkin.hybrid.flow import Flow, RungeKutta
 from petkin.hybrid.metrics import measure, signal_to_noise, valid_share
 from petkin.hybrid.model import Encoded, HyperNetwork, Identifier
 from petkin.hybrid.parallel import place, processes
+from petkin.hybrid.refine import Refined, refine
 from petkin.hybrid.residual import Network, Residual, into_rows, run_layers
 from petkin.hybrid.schedule import Settings, learning_rate
 from petkin.hybrid.strategies import STRATEGIES, find_strategy
 from petkin.hybrid.task import Emission, Task
 from petkin.hybrid.train import Run, train
+from petkin.hybrid.uncertainty import ErrorBars, Spread, context_features, errors_of, teach_error_bars
 
 __all__ = [
     "STRATEGIES",
@@ -25,6 +27,7 @@ __all__ = [
     "Decoder",
     "Emission",
     "Encoded",
+    "ErrorBars",
     "Flow",
     "Head",
     "HybridField",
@@ -32,14 +35,18 @@ __all__ = [
     "Identifier",
     "Moments",
     "Network",
+    "Refined",
     "Residual",
     "Run",
     "RungeKutta",
     "Settings",
     "SpatioTemporal",
+    "Spread",
     "Stack",
     "Task",
+    "context_features",
     "episodes",
+    "errors_of",
     "find_strategy",
     "into_rows",
     "learning_rate",
@@ -50,9 +57,11 @@ __all__ = [
     "of_others",
     "place",
     "processes",
+    "refine",
     "run_layers",
     "save_tensors",
     "signal_to_noise",
+    "teach_error_bars",
     "train",
     "valid_share",
 ]

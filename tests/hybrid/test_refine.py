@@ -1,0 +1,56 @@
+"""Refinement starts where the encoders do, and only ever gains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from petkin.hybrid import Encoded, Identifier, Settings, refine, train
+
+from .oscillator import data, make
+
+_UNSEEN = data(6, 4, seed=2)
+
+
+@pytest.fixture(scope="module")
+def model() -> Identifier:
+    return train(make, data(30, 6, seed=1), Settings(steps=150, dynamics=6, series=6, rate=1e-2)).model
+
+
+@pytest.fixture(scope="module")
+def said(model: Identifier) -> Encoded:
+    with torch.no_grad():
+        return model.encode(_UNSEEN.states)
+
+
+def test_an_unseen_set_is_fitted_better_and_its_parameters_with_it(model, said):
+    found = refine(model, said, _UNSEEN.states, steps=60)
+    assert bool((found.after < found.before).all())
+    assert found.after.mean() < 0.4 * found.before.mean()
+    with torch.no_grad():
+        off = (model.predict(found.found) - _UNSEEN.states).square().flatten(1).mean(dim=1)
+    torch.testing.assert_close(off, found.after)
+    truth = _UNSEEN.truth[:, None, :1]
+    assert (found.found.physics - truth).square().mean() < 0.1 * (said.physics - truth).square().mean()
+    assert bool((found.found.physics == found.found.physics[:, :1]).all())
+
+
+def test_sets_do_not_know_of_each_other(model, said):
+    both = refine(model, said, _UNSEEN.states, steps=5)
+    part = replace(said, initial=said.initial[:2], physics=said.physics[:2], code=said.code[:2])
+    alone = refine(model, part, _UNSEEN.states[:2], steps=5)
+    torch.testing.assert_close(alone.after, both.after[:2], rtol=1e-4, atol=1e-8)
+
+
+def test_it_is_never_worse_than_the_start(model, said):
+    wild = refine(model, said, _UNSEEN.states, steps=8, rate=30.0)
+    assert bool((wild.after <= wild.before).all())
+    none = refine(model, said, _UNSEEN.states, steps=0)
+    assert torch.equal(none.after, none.before)
+
+
+def test_early_frames_suffice(model, said):
+    found = refine(model, said, _UNSEEN.states[:, :, :5], steps=30)
+    assert bool((found.after < found.before).all())

@@ -46,7 +46,7 @@ class Preset:
 
 
 _TINY = Settings(steps=60, dynamics=6, series=6)
-_CPU = Settings(steps=3300)
+_CPU = Settings(steps=3300, horizon=6, curriculum=0.3)
 PRESETS = (
     Preset(
         "tiny", (0.2, 0.15), (6, 9), 4, "moments", False, {"": _TINY, "rigid_body": replace(_TINY, steps=6, series=3)}
@@ -61,7 +61,7 @@ PRESETS = (
         {
             "": _CPU,
             "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5),
-            "double_pendulum": Settings(steps=5000),
+            "double_pendulum": Settings(steps=5000, horizon=10, curriculum=0.3),
             "bouncing_ball": Settings(steps=8000),
             "rigid_body": Settings(steps=800, series=4),
         },

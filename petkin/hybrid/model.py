@@ -36,20 +36,25 @@ class Encoded:
 
 
 class HyperNetwork(nn.Module):
-    """c_n -> the weights of f_NN. At the start its answer is one usual network close to zero, whatever the code."""
+    """c_n -> the weights of f_NN, as a straight line and what bends it. At the start one usual network close to zero.
+
+    The straight part carries to codes beyond those of training: a force of another direction, a stronger damping.
+    """
 
     def __init__(self, code: int, network: Network, generator: torch.Generator) -> None:
         super().__init__()
         sizes = (code, 16, 16, 16, 8)
         hidden = [layer for a, b in pairwise(sizes) for layer in (nn.Linear(a, b), nn.SiLU())]
         last = nn.Linear(sizes[-1], network.weights)
+        self.layers = nn.Sequential(*hidden, last)
+        self.straight = nn.Linear(code, network.weights, bias=False)
         with torch.no_grad():
             last.weight.normal_(0.0, _SPREAD, generator=generator)
             last.bias.copy_(network.draw(generator))
-        self.layers = nn.Sequential(*hidden, last)
+            self.straight.weight.normal_(0.0, _SPREAD, generator=generator)
 
     def forward(self, code: Float[Tensor, "*b q"]) -> Float[Tensor, "W ..."]:
-        return self.layers(code).movedim(-1, 0)
+        return (self.layers(code) + self.straight(code)).movedim(-1, 0)
 
 
 class Identifier(nn.Module):
@@ -80,7 +85,8 @@ class Identifier(nn.Module):
         self.task, self.context, self.first = task, context, first
         self.aggregate, self.decoder = aggregate, decoder
         self.to_initial = Head(int(first.features), len(task.states))  # type: ignore[arg-type]
-        self.to_physics = Head(int(context.features), len(task.parameters))  # type: ignore[arg-type]
+        known = len(task.parameters)
+        self.to_physics = Head(int(context.features), known) if known else None  # type: ignore[arg-type]
         coded = code if task.residual is not None else 0
         self.to_code = Head(int(context.features), coded, scale=1.0) if coded else None  # type: ignore[arg-type]
         self.hyper = HyperNetwork(coded, task.residual.network, generator) if task.residual and coded else None
@@ -96,7 +102,9 @@ class Identifier(nn.Module):
         shape, flat = series.shape[:batch], series.flatten(0, batch - 1)
         features = self.context(flat)
         initial = self.task.centre + self.task.reach * self.to_initial(self.first(flat))
-        physics = self.lower + self.span * torch.sigmoid(self.to_physics(features))
+        physics = features[:, :0]
+        if self.to_physics is not None:
+            physics = self.lower + self.span * torch.sigmoid(self.to_physics(features))
         code = self.to_code(features) if self.to_code is not None else features[:, :0]
         return Encoded(*(part.unflatten(0, shape) for part in (initial, physics, code)))
 

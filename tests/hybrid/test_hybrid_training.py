@@ -116,7 +116,7 @@ def test_a_blank_prediction_is_noticed():
         model.task.centre.fill_(0.0)
         return model
 
-    with pytest.raises(NumericalError, match=r"Training died 1 times.*blank observation"):
+    with pytest.raises(NumericalError, match=r"Training died 1 times.*blank"):
         train(out_of_sight, data(), replace(_SHORT, steps=500, restarts=0))
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from petkin.dynamics import VectorField
+from petkin.errors import InputError
 from petkin.hybrid.aggregate import Aggregate, mean
 from petkin.hybrid.encoders import Head
 from petkin.hybrid.field import HybridField
@@ -63,7 +64,7 @@ class Identifier(nn.Module):
     Args:
         task: what is to be identified.
         context: encoder of a whole series, with `features`.
-        first: encoder of its first frames, with `features`.
+        first: encoder of its first frames, with `features`; None where the task knows the start.
         code: numbers in c_n; 0 for one f_NN of all dynamics.
         generator: draws the first weights of f_NN.
         aggregate: makes one c_p and c_n of those that several context series say.
@@ -74,7 +75,7 @@ class Identifier(nn.Module):
         self,
         task: Task,
         context: nn.Module,
-        first: nn.Module,
+        first: nn.Module | None,
         *,
         code: int,
         generator: torch.Generator,
@@ -82,13 +83,15 @@ class Identifier(nn.Module):
         decoder: nn.Module | None = None,
     ) -> None:
         super().__init__()
+        if (first is None) != (task.start is not None):
+            raise InputError(f"{task.name}: the start is either known to the task or read by an encoder of frames.")
         self.task, self.context, self.first = task, context, first
         self.aggregate, self.decoder = aggregate, decoder
-        self.to_initial = Head(int(first.features), len(task.states))  # type: ignore[arg-type]
-        known = len(task.parameters)
-        self.to_physics = Head(int(context.features), known) if known else None  # type: ignore[arg-type]
+        self.to_initial = Head(int(first.features), len(task.states)) if first else None  # type: ignore[arg-type]
+        features, count = int(context.features), len(task.parameters)  # type: ignore[arg-type]
+        self.to_physics = Head(features, count) if count else None
         coded = code if task.residual is not None else 0
-        self.to_code = Head(int(context.features), coded, scale=1.0) if coded else None  # type: ignore[arg-type]
+        self.to_code = Head(features, coded, scale=1.0) if coded else None
         self.hyper = HyperNetwork(coded, task.residual.network, generator) if task.residual and coded else None
         alone = task.residual is not None and not coded
         self.weights = nn.Parameter(task.residual.network.draw(generator)) if task.residual and alone else None
@@ -101,12 +104,19 @@ class Identifier(nn.Module):
         """What the encoders say of observed series; `batch` leading axes count them."""
         shape, flat = series.shape[:batch], series.flatten(0, batch - 1)
         features = self.context(flat)
-        initial = self.task.centre + self.task.reach * self.to_initial(self.first(flat))
+        initial = self._initial(flat)
         physics = features[:, :0]
         if self.to_physics is not None:
             physics = self.lower + self.span * torch.sigmoid(self.to_physics(features))
         code = self.to_code(features) if self.to_code is not None else features[:, :0]
         return Encoded(*(part.unflatten(0, shape) for part in (initial, physics, code)))
+
+    def _initial(self, series: Float[Tensor, "n T ..."]) -> Float[Tensor, "n d"]:
+        if self.task.start is not None:
+            return self.task.start(series)
+        assert self.first is not None
+        assert self.to_initial is not None
+        return self.task.centre + self.task.reach * self.to_initial(self.first(series))
 
     def field(self, code: Float[Tensor, "*b q"]) -> VectorField:
         """The derivative that the codes stand for."""

@@ -78,12 +78,22 @@ class Network:
 
 
 def run_layers(layers: tuple[tuple[Tensor, Tensor], ...], inputs: Float[Tensor, "i ..."]) -> Float[Tensor, "o ..."]:
-    """N(inputs; w)."""
+    """N(inputs; w). Weights [.., *b, 1] serve all points of the inputs' last axis, by products of matrices."""
+    if inputs.shape[-1] > 1 and inputs.ndim > 1 and all(matrix.shape[-1] == 1 for matrix, _ in layers):
+        return _run_along(layers, inputs)
     x = inputs
     for matrix, bias in layers[:-1]:
         x = silu((matrix * x).sum(dim=1) + bias)
     matrix, bias = layers[-1]
     return (matrix * x).sum(dim=1) + bias
+
+
+def _run_along(layers: tuple[tuple[Tensor, Tensor], ...], inputs: Float[Tensor, "i *b n"]) -> Float[Tensor, "o *b n"]:
+    x = inputs.movedim(0, -2).contiguous()
+    for index, (matrix, bias) in enumerate(layers):
+        x = matrix[..., 0].movedim((0, 1), (-2, -1)).contiguous() @ x + bias.movedim(0, -2)
+        x = silu(x) if index < len(layers) - 1 else x
+    return x.movedim(-2, 0)
 
 
 @dataclass(frozen=True)

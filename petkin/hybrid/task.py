@@ -43,6 +43,7 @@ class Task:
         emission: what is observed.
         centre, reach: z at the start is centre + reach x (a number of order one); reach 0 holds a state.
         flow: how states are carried from frame to frame.
+        start: observed series [n, T, ...] -> z at the start [n, d], where it is known; else it is encoded.
         missing: (states, full parameters) -> what f_NN should find, a row for each of the residual's; for measuring.
     """
 
@@ -56,6 +57,7 @@ class Task:
     centre: Float[Tensor, " d"]
     reach: Float[Tensor, " d"]
     flow: Flow = field(default_factory=RungeKutta)
+    start: Callable[[Tensor], Tensor] | None = None
     missing: Callable[[Tensor, Tensor], Tensor] | None = None
 
     def __post_init__(self) -> None:

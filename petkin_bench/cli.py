@@ -108,7 +108,7 @@ def accuracy(
 
 @app.command()
 def run(
-    table: Annotated[str, typer.Option(help="hybrid or strategy.")] = "hybrid",
+    table: Annotated[str, typer.Option(help="hybrid, strategy or pet.")] = "hybrid",
     system: Annotated[str | None, typer.Option(help="Only this system; default: all of the table.")] = None,
     preset: Annotated[str, typer.Option(help="tiny, cpu or paper.")] = "cpu",
     seeds: Annotated[int, typer.Option(help="Runs a row, seeds 0, 1, ...", min=1)] = 1,
@@ -126,12 +126,16 @@ def run(
 
     `torchrun --nproc-per-node N -m petkin_bench run ...` trains each model with N processes.
 
-    Rows are appended to learning.csv. `petkin-bench tables` prints them beside the published ones.
+    Rows are appended to learning.csv (learning_pet.csv). `petkin-bench tables` prints them beside the published ones.
     """
     from contextlib import nullcontext
     from functools import partial
 
     import torch
+
+    if table == "pet":
+        _run_pet(preset, seeds, dynamics, work, results)
+        return
 
     from petkin.cli.progress import progress_bar
     from petkin.hybrid import place, processes
@@ -156,6 +160,28 @@ def run(
                 typer.echo(f"{job.label} {row['split']} {row['test']}: MSE x {row['mse_x']:.3g}, z {row['mse_z']:.3g}")
 
 
+def _run_pet(preset: str, seeds: int, model: str | None, work: Path, results: Path | None) -> None:
+    from functools import partial
+
+    import torch
+
+    from petkin.cli.progress import progress_bar
+    from petkin_bench.pet import find_preset, finished, pet_jobs, run_pet_job
+    from petkin_bench.provenance import RESULTS
+
+    torch.set_num_threads(1)
+    folder, chosen = results or RESULTS, find_preset(preset)
+    planned, there = pet_jobs(seeds, model), finished(folder)
+    left = [job for job in planned if job.key(chosen) not in there]
+    typer.echo(f"{len(planned)} runs, {len(planned) - len(left)} of them done.")
+    for job in left:
+        with progress_bar() as step:
+            rows = run_pet_job(job, chosen, work=work, results=folder, progress=partial(step, job.label))
+        for row in rows:
+            what = f"{row['split']}, noise {row['noise_test']:g} %, told by {row['test']}"
+            typer.echo(f"{job.label} {what}: MSE z {row['mse_z']:.3g}, PSNR {row['psnr_x']:.3g}")
+
+
 @app.command()
 def tables(
     results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
@@ -163,9 +189,11 @@ def tables(
 ) -> None:
     """Print the learning tables beside the published ones, with the ratio."""
     from petkin_bench.learning_tables import print_tables
+    from petkin_bench.pet_tables import print_pet
     from petkin_bench.provenance import RESULTS
 
     print_tables(results or RESULTS, preset)
+    print_pet(results or RESULTS, preset)
 
 
 @app.command("real-scans")

@@ -61,6 +61,37 @@ def speed_fit(
         accuracy(data)
 
 
+@speed.command("train")
+def speed_train(
+    steps: Annotated[int, typer.Option(help="Steps of preset cpu; 0 for all of them.", min=0)] = 0,
+    paper_steps: Annotated[
+        int, typer.Option(help="Steps at most to count how many the paper's form needs.", min=3)
+    ] = 20_000,
+    naive_steps: Annotated[int, typer.Option(help="Steps that a naive step is timed on.", min=3)] = 12,
+    quick: Annotated[bool, typer.Option("--quick", help="A few steps of each; keeps nothing.")] = False,
+) -> None:
+    """Training against the paper's form done naively: processor time of a step, and to the paper's accuracy.
+
+    Rows are appended to petkin_bench/results/speed_train.csv.
+    """
+    import torch
+
+    from petkin_bench.provenance import append_rows
+    from petkin_bench.speed_train import PROBLEMS
+    from petkin_bench.tables import print_training
+
+    torch.set_num_threads(1)
+    if quick:
+        steps, paper_steps, naive_steps = 12, 6, 3
+    rows = []
+    for name, problem in PROBLEMS.items():
+        typer.echo(f"{name} ...", err=True)
+        rows += problem(steps=steps, paper_steps=paper_steps, naive_steps=naive_steps)
+    print_training(rows)
+    if not quick:
+        typer.echo(f"Appended to {append_rows('speed_train', rows)}")
+
+
 def _speed_rows(voxels: int, by_hand: int, *, quick: bool) -> list[dict[str, object]]:
     import tempfile
 

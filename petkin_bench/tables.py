@@ -47,6 +47,28 @@ def print_speed(rows: Sequence[Row]) -> None:
         console.print(line)
 
 
+def print_training(rows: Sequence[Row]) -> None:
+    """A step of ours against a naive one, and the time to the published accuracy."""
+    table = Table(title="Training, processor time; both forms predict 64 queries a step", title_justify="left")
+    names = ("problem", "step, ms", "naive", "ratio", "data, %", "to accuracy, s", "naive, projected", "ratio ")
+    for name in names:
+        table.add_column(name, justify="left" if name == "problem" else "right")
+    console = Console()
+    console = Console(width=max(console.width, _WIDTH))
+    for row in rows:
+        steps = (_number(row, key, ".1f") for key in ("step_cpu_ms", "naive_step_cpu_ms", "ratio_step", "data_percent"))
+        keys = ("cpu_s_to_accuracy", "naive_cpu_s_to_accuracy", "ratio_to_accuracy")
+        reached = (_number(row, key, ".0f") if row.get(key, "") != "" else "" for key in keys)
+        table.add_row(str(row["problem"]), *steps, *reached)
+    console.print(table)
+    for row in rows:
+        if "naive_projected" in row:
+            target, best = _number(row, "target_mse_z", ".2g"), row["best_mse_z"]
+            Console().print(
+                f"{row['problem']}: accuracy is MSE z {target}; best here {best}. {row['naive_projected']}."
+            )
+
+
 def print_accuracy(rows: Sequence[Row]) -> None:
     """Errors on the common curves, beside what others reached."""
     table = Table(title="Common benchmark curves, errors in percent", title_justify="left")

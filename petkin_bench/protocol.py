@@ -63,7 +63,7 @@ PRESETS = (
             "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5),
             "double_pendulum": Settings(steps=5000, horizon=10, curriculum=0.3),
             "bouncing_ball": Settings(steps=8000),
-            "rigid_body": Settings(steps=800, series=4),
+            "rigid_body": Settings(steps=3000, glimpse=8),
         },
     ),
     Preset(
@@ -162,7 +162,7 @@ def _encoder(task: Task, preset: Preset, frames: int) -> nn.Module:
     """Of a whole series, or of its first frames."""
     channels, size = _look(task)
     if preset.encoder == "moments":
-        return Moments(frames, channels, size)
+        return Moments(frames, channels)
     if preset.encoder == "spatio_temporal" and frames > _FIRST:
         return SpatioTemporal(frames, channels, size, filters=preset.filters)
     return Stack(frames, channels, size, filters=preset.filters, pool=_pool(task))

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import torch
 
-from petkin.hybrid import find_strategy, measure, place, train
+from petkin.hybrid import Identifier, find_strategy, measure, place, train
 from petkin_bench.learning_tables import read_rows
 from petkin_bench.protocol import Job, Preset, build, counts, settings_of
 from petkin_bench.provenance import RESULTS, append_rows
-from petkin_bench.systems import draw, find_system
+from petkin_bench.systems import Physics, draw, find_system
 
 _SEED_TRAIN, _SEED_TEST, _SEED_VALIDATION = 1, 2, 4
 #: Dynamics x starts that a run is checked on, where its settings ask for it.
@@ -46,7 +46,7 @@ def run_job(
     torch.compiler.reset()  # one process compiles only so many forms of a function, and each run has its own
     start = time.process_time()
     run = train(
-        lambda seed: build(physics, job.dynamics, preset, seed, job.decoder),
+        lambda seed: _rough(build(physics, job.dynamics, preset, seed, job.decoder), physics, preset),
         data,
         settings,
         checkpoint=checkpoint,
@@ -56,12 +56,20 @@ def run_job(
     )
     if place()[0] > 0:
         return []
+    run.model.task = replace(run.model.task, emission=physics.emission)
     spent = time.process_time() - start
     rows = [row | {"cpu_s": spent} for row in _measured(job, preset, run.model, "; ".join(run.remarks))]
     append_rows(
         "learning", [row | {"encoder": preset.encoder, "settings": str(asdict(settings))} for row in rows], results
     )
     return rows
+
+
+def _rough(model: Identifier, physics: Physics, preset: Preset) -> Identifier:
+    """To be trained on cheaper pictures, where the encoder reads pictures of any size."""
+    if physics.rough is not None and preset.encoder == "moments" and model.decoder is None:
+        model.task = replace(model.task, emission=physics.rough)
+    return model
 
 
 def done(results: Path = RESULTS) -> set[tuple[str, ...]]:

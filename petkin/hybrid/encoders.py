@@ -11,6 +11,7 @@ paper's own source for it): convolution, normalisation, activation, map over tim
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from itertools import pairwise
 
 import torch
@@ -23,6 +24,8 @@ _SLOPE = 0.1
 _DARK = 1e-4
 #: Standardised moments are magnified by this before the first convolution: small differences of place decide.
 _GAIN = 5.0
+#: Numbers that describe a channel of a frame.
+_MOMENTS = 6
 #: Batches that tell the mean and the spread of moments.
 _SETTLED = 100
 
@@ -66,19 +69,15 @@ class Moments(nn.Module):
     over pixels have to learn it.
 
     Args:
-        frames, channels, size: of a series [*b, frames, channels, size, size].
+        frames, channels: of a series [*b, frames, channels, size, size] of any size.
         filters: of the convolutions over time.
         features: numbers that come out.
     """
 
-    def __init__(self, frames: int, channels: int, size: int, *, filters: int = 64, features: int = 128) -> None:
+    def __init__(self, frames: int, channels: int, *, filters: int = 64, features: int = 128) -> None:
         super().__init__()
-        along = (torch.arange(size) + 0.5) * (2.0 / size) - 1.0
-        v, u = torch.meshgrid(along, along, indexing="ij")
-        self.powers: Tensor
-        self.register_buffer("powers", torch.stack([u * 0 + 1, u, v, u * u, v * v, u * v]).flatten(1), persistent=False)
-        self.usual = nn.BatchNorm1d(channels * len(self.powers), affine=False, eps=1e-3, momentum=None)
-        widths = (channels * len(self.powers), *[filters] * 4)
+        self.usual = nn.BatchNorm1d(channels * _MOMENTS, affine=False, eps=1e-3, momentum=None)
+        widths = (channels * _MOMENTS, *[filters] * 4)
         strides = (1, 2, 2, 2)
         over_time = [
             layer
@@ -95,7 +94,8 @@ class Moments(nn.Module):
 
     def describe(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n c T"]:
         """Brightness, place (u, v), widths and slant of every channel, in numbers of order one."""
-        mass, *raw = (series[:, : self.frames].flatten(3) @ self.powers.T / self.powers.shape[1]).unbind(-1)
+        powers = _powers(series.shape[-1]).to(series)
+        mass, *raw = (series[:, : self.frames].flatten(3) @ powers).unbind(-1)
         u, v, uu, vv, uv = (moment / (mass + _DARK) for moment in raw)
         wide, high = (uu - u * u).clamp_min(_DARK), (vv - v * v).clamp_min(_DARK)
         slant = (uv - u * v) / torch.sqrt(wide * high)
@@ -108,6 +108,14 @@ class Moments(nn.Module):
             with torch.no_grad():
                 self.usual(said)
         return batch_norm(said, self.usual.running_mean, self.usual.running_var, eps=self.usual.eps)
+
+
+@cache
+def _powers(size: int) -> Float[Tensor, "pixels 6"]:
+    """1, u, v, u^2, v^2, u v of the pixels of the canvas [-1, 1]^2, over their number."""
+    along = (torch.arange(size) + 0.5) * (2.0 / size) - 1.0
+    v, u = torch.meshgrid(along, along, indexing="ij")
+    return torch.stack([torch.ones_like(u), u, v, u * u, v * v, u * v], dim=-1).flatten(0, 1) / size**2
 
 
 class SpatioTemporal(nn.Module):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import torch
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -20,6 +22,7 @@ class Settings:
         rate: highest learning rate, reached after `warm_up` of the steps and annealed to `final` of itself.
         clip: largest norm of a gradient.
         horizon, curriculum: predict only the first `horizon` times at first, all after this share of the steps.
+        glimpse: of the predicted times only so many are compared, drawn anew a step; 0 for all. For costly pictures.
         norm, orthogonality: weights of the penalties on f_NN's mean square and on its overlap with f_PHY.
         seed: of first weights and episodes.
         save_every: steps between checkpoints.
@@ -39,6 +42,7 @@ class Settings:
     clip: float = 1.0
     horizon: int = 0
     curriculum: float = 0.0
+    glimpse: int = 0
     norm: float = 0.0
     orthogonality: float = 0.0
     seed: int = 0
@@ -58,6 +62,14 @@ def learning_rate(step: int, settings: Settings) -> float:
     share = (step - rise) / max(1, settings.steps - rise)
     low = settings.final * settings.rate
     return low + 0.5 * (settings.rate - low) * (1.0 + math.cos(math.pi * share))
+
+
+def compared(step: int, settings: Settings, frames: int) -> slice | list[int]:
+    """Which of the predicted times are compared at this step."""
+    if not 0 < settings.glimpse < frames:
+        return slice(None)
+    generator = torch.Generator().manual_seed(1_000_003 * settings.seed + step)
+    return sorted(torch.randperm(frames, generator=generator)[: settings.glimpse].tolist())
 
 
 def frames_at(step: int, settings: Settings, frames: int) -> int:

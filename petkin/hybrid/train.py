@@ -27,7 +27,7 @@ from petkin.hybrid.metrics import measure
 from petkin.hybrid.model import Encoded, Identifier
 from petkin.hybrid.parallel import average, place, wait
 from petkin.hybrid.penalty import penalty
-from petkin.hybrid.schedule import Settings, frames_at, learning_rate
+from petkin.hybrid.schedule import Settings, compared, frames_at, learning_rate
 from petkin.hybrid.strategies import find_strategy
 from petkin.hybrid.validation import Validation
 from petkin.hybrid.watch import Watch
@@ -179,7 +179,8 @@ def loss_of(model: Identifier, batch: Dataset, k: int, settings: Settings, step:
     found = find_strategy(settings.strategy)(model.encode(observed), k, model.aggregate)
     count = frames_at(step, settings, len(model.task.times))
     predicted = model.predict(found, model.task.times[:count])
-    error = model.squared_error(found, predicted, batch.states[..., :count, :]).mean()
+    some = compared(step, settings, count)
+    error = model.squared_error(found, predicted[..., some, :], batch.states[..., :count, :][..., some, :]).mean()
     price = penalty(model, found, predicted, norm=settings.norm, orthogonality=settings.orthogonality)
     return error + price, error, _light(model, found, predicted, observed[:1, :1, :count])
 

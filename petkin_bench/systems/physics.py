@@ -53,6 +53,7 @@ class Physics:
         energy: (states, truth) -> energy, constant where nothing is lost; None where there is none.
         flow: how models are integrated; data are made much finer.
         sizes: dynamics x starts of the paper.
+        rough: cheaper pictures of the same scene to train on; None for the pictures themselves.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Physics:
     energy: Callable[[Tensor, Tensor], Tensor] | None
     flow: Flow
     sizes: tuple[int, int]
+    rough: Emission | None = None
 
     def parameters(self, symbols: tuple[str, ...]) -> ParameterSet:
         """c_p: ranges in and out of distribution, a little widened."""

@@ -110,4 +110,5 @@ RIGID_BODY = Physics(
     energy=_energy,
     flow=RungeKutta(1),
     sizes=(192, 25),
+    rough=Cube(size=32, soft=0.35),
 )

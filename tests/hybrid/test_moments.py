@@ -14,7 +14,7 @@ def _spots(places: torch.Tensor) -> torch.Tensor:
 
 
 def test_moments_tell_places_below_a_pixel():
-    encoder = Moments(4, 1, 32)
+    encoder = Moments(4, 1)
     places = 1.2 * (torch.rand(16, 4, 2, generator=torch.Generator().manual_seed(0)) - 0.5)
     said = encoder.describe(_spots(places))
     found = torch.stack([said[:, 1], said[:, 2]], dim=-1)
@@ -23,11 +23,11 @@ def test_moments_tell_places_below_a_pixel():
 
 
 def test_standard_values_settle_and_are_kept():
-    encoder, generator = Moments(4, 1, 32).train(), torch.Generator().manual_seed(0)
+    encoder, generator = Moments(4, 1).train(), torch.Generator().manual_seed(0)
     draws = [_spots(torch.rand(8, 4, 2, generator=generator) - 0.5) for _ in range(3)]
     for series in draws:
         encoder(series)
-    other = Moments(4, 1, 32)
+    other = Moments(4, 1)
     other.load_state_dict(encoder.state_dict())
     torch.testing.assert_close(other.eval()(draws[0]), encoder.eval()(draws[0]), rtol=0, atol=0)
     kept = {name: value.clone() for name, value in encoder.usual.state_dict().items()}
@@ -38,7 +38,7 @@ def test_standard_values_settle_and_are_kept():
 
 def test_a_dark_channel_gives_finite_features_and_gradients():
     series = torch.zeros(3, 4, 2, 16, 16, requires_grad=True)
-    encoder = Moments(4, 2, 16).eval()
+    encoder = Moments(4, 2).eval()
     encoder(series).sum().backward()
     assert series.grad is not None
     assert bool(torch.isfinite(series.grad).all())

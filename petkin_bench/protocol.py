@@ -63,7 +63,7 @@ PRESETS = (
             "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5),
             "double_pendulum": Settings(steps=5000, horizon=10, curriculum=0.3),
             "bouncing_ball": Settings(steps=8000),
-            "rigid_body": Settings(steps=3000, glimpse=8),
+            "rigid_body": Settings(steps=3000, glimpse=8, norm=3e-5),
         },
     ),
     Preset(

@@ -7,6 +7,8 @@ error is relative to their variance over the data, component by component.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -30,7 +32,13 @@ def signal_to_noise(mean_square_error: Float[Tensor, "*b"], peak: Float[Tensor, 
 
 @torch.no_grad()
 def measure(
-    model: Identifier, data: Dataset, strategy: Strategy, k: int, *, physics: tuple[int, ...]
+    model: Identifier,
+    data: Dataset,
+    strategy: Strategy,
+    k: int,
+    *,
+    physics: tuple[int, ...],
+    meant: Callable[[Tensor], Tensor] | None = None,
 ) -> dict[str, float]:
     """Metrics of predictions over a dataset, dynamics by dynamics.
 
@@ -39,18 +47,24 @@ def measure(
         data: true states and parameters.
         strategy: what every series is predicted from, with k context series.
         physics: which of the full parameters c_p stands for, in its order; empty where it has no counterpart.
+        meant: what of c_p acts, where not all of it does (of a direction, not its length).
 
     Returns:
         mse_x, mse_z, vpt_x, vpt_z, and where they are defined mse_cp and mse_f (f_NN against what is missing).
     """
     was, _ = model.training, model.eval()
-    rows = [_one(model, data, strategy, k, physics, m) for m in range(data.dynamics)]
+    rows = [_one(model, data, strategy, k, (physics, meant), m) for m in range(data.dynamics)]
     model.train(was)
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
 
 def _one(
-    model: Identifier, data: Dataset, strategy: Strategy, k: int, physics: tuple[int, ...], m: int
+    model: Identifier,
+    data: Dataset,
+    strategy: Strategy,
+    k: int,
+    compared: tuple[tuple[int, ...], Callable[[Tensor], Tensor] | None],
+    m: int,
 ) -> dict[str, float]:
     task, states, truth = model.task, data.states[m : m + 1], data.truth[m : m + 1]
     observed = task.emission.observe(states)
@@ -65,8 +79,10 @@ def _one(
         "vpt_x": float(valid_share(error > VALID * observed.square().flatten(3).mean(dim=-1)).mean()),
         "vpt_z": float(valid_share(off > VALID).mean()),
     }
+    physics, meant = compared
     if physics:
-        row["mse_cp"] = float(((found.physics - truth[:, None, list(physics)]) ** 2).mean())
+        acting = found.physics if meant is None else meant(found.physics)
+        row["mse_cp"] = float(((acting - truth[:, None, list(physics)]) ** 2).mean())
     if task.residual is not None and task.missing is not None:
         learned = model.residual(found.code, states, found.physics)
         row["mse_f"] = float(((learned - task.missing(states, truth[:, None, None])) ** 2).mean())

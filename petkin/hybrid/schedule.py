@@ -23,7 +23,8 @@ class Settings:
         clip: largest norm of a gradient.
         horizon, curriculum: predict only the first `horizon` times at first, all after this share of the steps.
         glimpse: of the predicted times only so many are compared, drawn anew a step; 0 for all. For costly pictures.
-        norm, orthogonality: weights of the penalties on f_NN's mean square and on its overlap with f_PHY.
+        norm, orthogonality: weights of the penalties on f_NN's mean square and on its overlap with f_PHY. They rise and
+            fall with the learning rate: physics explains what it can while there is time, and f_NN ends unbiased.
         seed: of first weights and episodes.
         save_every: steps between checkpoints.
         restarts: how often a dead run may begin again.

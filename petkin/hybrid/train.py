@@ -182,6 +182,7 @@ def loss_of(model: Identifier, batch: Dataset, k: int, settings: Settings, step:
     some = compared(step, settings, count)
     error = model.squared_error(found, predicted[..., some, :], batch.states[..., :count, :][..., some, :]).mean()
     price = penalty(model, found, predicted, norm=settings.norm, orthogonality=settings.orthogonality)
+    price = price * (learning_rate(step, settings) / settings.rate)
     return error + price, error, _light(model, found, predicted, observed[:1, :1, :count])
 
 

@@ -53,6 +53,7 @@ class Physics:
         energy: (states, truth) -> energy, constant where nothing is lost; None where there is none.
         flow: how models are integrated; data are made much finer.
         sizes: dynamics x starts of the paper.
+        meant: what of c_p acts in the partial law, where not all of it does.
         rough: cheaper pictures of the same scene to train on; None for the pictures themselves.
     """
 
@@ -76,6 +77,7 @@ class Physics:
     energy: Callable[[Tensor, Tensor], Tensor] | None
     flow: Flow
     sizes: tuple[int, int]
+    meant: Callable[[Tensor], Tensor] | None = None
     rough: Emission | None = None
 
     def parameters(self, symbols: tuple[str, ...]) -> ParameterSet:

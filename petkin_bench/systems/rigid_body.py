@@ -110,5 +110,6 @@ RIGID_BODY = Physics(
     energy=_energy,
     flow=RungeKutta(1),
     sizes=(192, 25),
+    meant=lambda p: _direction(p) if p.shape[-1] == 2 else p,
     rough=Cube(size=32, soft=0.35),
 )

@@ -61,7 +61,7 @@ PRESETS = (
         {
             "": _CPU,
             "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5),
-            "double_pendulum": Settings(steps=5000, horizon=10, curriculum=0.3),
+            "double_pendulum": Settings(steps=5000, horizon=10, curriculum=0.3, norm=3e-5),
             "bouncing_ball": Settings(steps=8000),
             "rigid_body": Settings(steps=3000, glimpse=8, norm=3e-5),
         },

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import pandas as pd
@@ -18,7 +19,7 @@ import torch
 
 from petkin.errors import InputError
 from petkin.hybrid import Dataset, Settings, train
-from petkin.learning import PAPER, Population, curve_errors, draw, predict, tissue_model
+from petkin.learning import PAPER, Conditions, Population, curve_errors, draw, predict, tissue_model
 from petkin_bench.classical import fit_errors
 from petkin_bench.provenance import RESULTS, append_rows
 
@@ -32,17 +33,17 @@ NOISE = 5.0
 #: (way of modelling, what f_NN sees, noise in training, steps of preset cpu); classical fits take no steps.
 MODELS = (
     ("full_physics", "", 0.0, 4000),
-    ("purely_physics", "", 0.0, 1500),
-    ("meta_hylad", "C_T,C_P", 0.0, 3000),
-    ("purely_neural", "C_T", 0.0, 1500),
-    ("global_hylad", "C_T", 0.0, 1500),
-    ("meta_hylad", "C_T", 0.0, 3000),
-    ("meta_hylad", "hidden", 0.0, 3000),
-    ("fit_1TCM", "", 0.0, 0),
-    ("fit_2TCM", "", 0.0, 0),
-    ("meta_hylad", "C_T,C_P", NOISE, 2000),
+    ("purely_physics", "", 0.0, 1000),
+    ("meta_hylad", "C_T,C_P", 0.0, 2000),
+    ("purely_neural", "C_T", 0.0, 1000),
+    ("global_hylad", "C_T", 0.0, 1000),
+    ("meta_hylad", "C_T", 0.0, 2000),
+    ("meta_hylad", "hidden", 0.0, 2000),
+    ("meta_hylad", "C_T,C_P", NOISE, 1500),
     ("full_physics", "", NOISE, 2000),
     ("purely_physics", "", NOISE, 1000),
+    ("fit_1TCM", "", 0.0, 0),
+    ("fit_2TCM", "", 0.0, 0),
     ("fit_1TCM", "", NOISE, 0),
     ("fit_2TCM", "", NOISE, 0),
 )
@@ -148,11 +149,17 @@ def run_pet_job(
     return rows
 
 
+@cache
+def _conditions() -> Conditions:
+    """Inputs and frames, the same for all rows."""
+    return PAPER.conditions
+
+
 def _learned(
     job: PetJob, preset: PetPreset, work: Path, progress: Callable[[float], None]
 ) -> tuple[list[dict[str, object]], dict[str, object]]:
     population = replace(PAPER, noise=job.noise)
-    conditions = population.conditions
+    conditions = _conditions()
     _, measured = draw(population, preset.subjects[0], preset.scans[0], _SEED_TRAIN)
     trained = Dataset(measured.states[:, : preset.scans[1]], measured.truth)
     settings = Settings(steps=max(10, round(preset.steps * job.steps)), seed=job.seed, **_EPISODE)

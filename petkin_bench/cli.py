@@ -217,14 +217,22 @@ def _run_pet(preset: str, seeds: int, model: str | None, work: Path, results: Pa
 def tables(
     results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
     preset: Annotated[str, typer.Option(help="Rows of this preset.")] = "cpu",
+    pictures: Annotated[Path | None, typer.Option(help="Folder for a picture of every run in --work.")] = None,
+    work: Annotated[Path, typer.Option(help="Folder of the checkpoints.")] = Path("bench-runs"),
 ) -> None:
-    """Print the learning tables beside the published ones, with the ratio."""
+    """Print the learning tables beside the published ones, with the ratio; draw what was learned."""
     from petkin_bench.learning_tables import print_tables
     from petkin_bench.pet_tables import print_pet
     from petkin_bench.provenance import RESULTS
 
     print_tables(results or RESULTS, preset)
     print_pet(results or RESULTS, preset)
+    if pictures is not None:
+        from petkin_bench.pictures import write_pictures
+        from petkin_bench.protocol import find_preset
+
+        for path in write_pictures(work, pictures, find_preset(preset)):
+            typer.echo(path)
 
 
 @app.command("real-scans")

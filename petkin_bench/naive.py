@@ -36,7 +36,8 @@ class Naive(nn.Module):
     def forward(self, contexts: Float[Tensor, "q k T C H W"], queries: Float[Tensor, "q T C H W"]) -> Tensor:
         """Mean squared error of the predicted pictures of the queries."""
         model, flat = self.model, contexts.flatten(0, 1)
-        assert model.to_code is not None
+        assert model.to_code is not None and model.to_physics is not None  # noqa: PT018
+        assert model.first is not None and model.to_initial is not None  # noqa: PT018
         features = model.context(flat)
         physics = model.lower + model.span * torch.sigmoid(model.to_physics(features))
         code = model.to_code(features if self.apart is None else self.apart(flat))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import torch
 from torch import nn
@@ -136,6 +137,11 @@ def jobs(table: str, system: str | None, seeds: int, decoder: str = "physics") -
     else:
         raise InputError(f"There is no table {table!r} here; choose hybrid or strategy.")
     return tuple(Job(table, *row, seed, decoder) for seed in range(seeds) for row in plan)
+
+
+def checkpoint_of(job: Job, preset: Preset, work: Path) -> Path:
+    """Where a run is kept."""
+    return work / f"{preset.name}_{job.label}.safetensors"
 
 
 def settings_of(job: Job, preset: Preset) -> Settings:

@@ -11,7 +11,7 @@ import torch
 
 from petkin.hybrid import Identifier, find_strategy, measure, place, train
 from petkin_bench.learning_tables import read_rows
-from petkin_bench.protocol import Job, Preset, build, counts, settings_of
+from petkin_bench.protocol import Job, Preset, build, checkpoint_of, counts, settings_of
 from petkin_bench.provenance import RESULTS, append_rows
 from petkin_bench.systems import Physics, draw, find_system
 
@@ -42,7 +42,7 @@ def run_job(
     """
     physics, settings = find_system(job.system), replace(settings_of(job, preset), episodes=episodes)
     data = draw(physics, *counts(physics, preset), seed=_SEED_TRAIN)
-    checkpoint = work / f"{preset.name}_{job.label}.safetensors"
+    checkpoint = checkpoint_of(job, preset, work)
     torch.compiler.reset()  # one process compiles only so many forms of a function, and each run has its own
     start = time.process_time()
     run = train(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 import torch
+from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from petkin.errors import InputError
+from petkin.hybrid import save_tensors
 from petkin_bench.cli import app
 from petkin_bench.decoding import DECODERS
 from petkin_bench.learning_tables import PUBLISHED, compare
+from petkin_bench.pictures import write_pictures
 from petkin_bench.protocol import PRESETS, build, find_preset, jobs
 from petkin_bench.systems import DYNAMICS, SYSTEMS
 
@@ -31,6 +34,17 @@ def test_a_table_is_run_once_and_compared(tmp_path):
     assert found.loc[("ID", "mse_z"), "ratio"] == pytest.approx(rows["mse_z"][0] / 0.1309)
     printed = CliRunner().invoke(app, ["tables", "--preset", "tiny", "--results", str(tmp_path)])
     assert "hybrid: pendulum" in printed.output
+
+
+def test_a_run_is_drawn_from_its_checkpoint(tmp_path):
+    model = build(SYSTEMS[0], "meta_hylad", find_preset("tiny"), 0)
+    path = tmp_path / "tiny_hybrid_pendulum_meta_hylad_meta_kall_seed0.safetensors"
+    save_tensors(path, {f"model.{name}": value for name, value in model.state_dict().items()}, {})
+    (drawn,) = write_pictures(tmp_path, tmp_path / "pictures", find_preset("tiny"))
+    assert drawn.name == path.with_suffix(".png").name
+    assert imread(drawn).std() > 0.05
+    with pytest.raises(InputError, match="no checkpoints of preset 'cpu'"):
+        write_pictures(tmp_path, tmp_path, find_preset("cpu"))
 
 
 def test_strategies_are_tested_on_both_tasks(tmp_path):

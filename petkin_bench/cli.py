@@ -169,6 +169,7 @@ def run(
         return
 
     from petkin.cli.progress import progress_bar
+    from petkin.errors import NumericalError
     from petkin.hybrid import place, processes
     from petkin_bench.protocol import find_preset, jobs
     from petkin_bench.provenance import RESULTS
@@ -178,7 +179,7 @@ def run(
     folder, chosen = results or RESULTS, find_preset(preset)
     planned = [job for job in jobs(table, system, seeds, decoder) if dynamics in (None, job.dynamics)]
     finished = done(folder)
-    left = [job for job in planned if key(job, chosen) not in finished]
+    left, died = [job for job in planned if key(job, chosen) not in finished], []
     with processes() as count:
         first = place()[0] == 0
         if first:
@@ -186,9 +187,15 @@ def run(
         for job in left:
             with progress_bar() if first else nullcontext(lambda label, share: None) as step:
                 told, shared = partial(step, job.label), episodes or count
-                rows = run_job(job, chosen, work=work, results=folder, progress=told, episodes=shared)
+                try:
+                    rows = run_job(job, chosen, work=work, results=folder, progress=told, episodes=shared)
+                except NumericalError as failure:
+                    typer.echo(f"{job.label}: {failure}", err=True)
+                    rows, died = [], [*died, job.label]
             for row in rows:
                 typer.echo(f"{job.label} {row['split']} {row['test']}: MSE x {row['mse_x']:.3g}, z {row['mse_z']:.3g}")
+    if died:
+        raise NumericalError(f"{len(died)} of {len(left)} runs have no rows: {', '.join(died)}.")
 
 
 def _run_pet(preset: str, seeds: int, model: str | None, work: Path, results: Path | None) -> None:

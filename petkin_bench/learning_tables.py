@@ -18,7 +18,7 @@ from petkin.errors import InputError
 
 PUBLISHED = Path(__file__).parent / "published" / "meta_hylad.csv"
 _FILE = "learning.csv"
-_METRICS = ("mse_x", "mse_z", "vpt_x", "vpt_z", "mse_cp", "mse_f")
+_METRICS = ("mse_x", "mse_z", "mse_q", "vpt_x", "vpt_z", "mse_cp", "mse_f")
 #: Ours -> the paper's names where they differ.
 _THEIRS = {"mse_f": "mse_cn"}
 _STRATEGIES = {"reconstruct": "recon_hylad", "meta": "meta_hylad", "mixed": "mixed_hylad"}

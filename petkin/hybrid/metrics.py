@@ -50,7 +50,8 @@ def measure(
         meant: what of c_p acts, where not all of it does (of a direction, not its length).
 
     Returns:
-        mse_x, mse_z, vpt_x, vpt_z, and where they are defined mse_cp and mse_f (f_NN against what is missing).
+        mse_x, mse_z, vpt_x, vpt_z, and where they are defined mse_q (of the states that are seen), mse_cp and mse_f
+        (f_NN against what is missing).
     """
     was, _ = model.training, model.eval()
     rows = [_one(model, data, strategy, k, (physics, meant), m) for m in range(data.dynamics)]
@@ -79,6 +80,8 @@ def _one(
         "vpt_x": float(valid_share(error > VALID * observed.square().flatten(3).mean(dim=-1)).mean()),
         "vpt_z": float(valid_share(off > VALID).mean()),
     }
+    if task.seen:
+        row["mse_q"] = float(((predicted - states) ** 2)[..., list(task.seen)].mean())
     physics, meant = compared
     if physics:
         acting = found.physics if meant is None else meant(found.physics)

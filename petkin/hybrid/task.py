@@ -44,6 +44,8 @@ class Task:
         centre, reach: z at the start is centre + reach x (a number of order one); reach 0 holds a state.
         flow: how states are carried from frame to frame.
         start: observed series [n, T, ...] -> z at the start [n, d], where it is known; else it is encoded.
+        seen: components that observations show, whose errors are measured apart: a velocity that flips at a wall is
+            wrong by twice itself for a hit that is a hair late.
         missing: (states, full parameters) -> what f_NN should find, a row for each of the residual's; for measuring.
     """
 
@@ -59,6 +61,7 @@ class Task:
     flow: Flow = field(default_factory=RungeKutta)
     start: Callable[[Tensor], Tensor] | None = None
     missing: Callable[[Tensor, Tensor], Tensor] | None = None
+    seen: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.known is None and self.residual is None:

@@ -133,4 +133,5 @@ BOUNCING_BALL = Physics(
     energy=lambda states, p: 0.5 * states[..., 2:].square().sum(-1) - (p[..., 1:] * states[..., :2]).sum(-1),
     flow=Bounces(),
     sizes=(260, 81),
+    seen=(0, 1),
 )

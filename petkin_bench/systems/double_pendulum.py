@@ -87,4 +87,5 @@ DOUBLE_PENDULUM = Physics(
     energy=_energy,
     flow=RungeKutta(2),
     sizes=(165, 77),
+    seen=(0, 1),
 )

@@ -77,4 +77,5 @@ MASS_SPRING = Physics(
     energy=_energy,
     flow=RungeKutta(2),
     sizes=(160, 81),
+    seen=(0, 1),
 )

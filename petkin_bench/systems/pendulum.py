@@ -69,4 +69,5 @@ PENDULUM = Physics(
     energy=_energy,
     flow=RungeKutta(1),
     sizes=(190, 81),
+    seen=(0,),
 )

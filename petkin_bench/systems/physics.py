@@ -53,6 +53,7 @@ class Physics:
         energy: (states, truth) -> energy, constant where nothing is lost; None where there is none.
         flow: how models are integrated; data are made much finer.
         sizes: dynamics x starts of the paper.
+        seen: states that the pictures show.
         meant: what of c_p acts in the partial law, where not all of it does.
         rough: cheaper pictures of the same scene to train on; None for the pictures themselves.
     """
@@ -77,6 +78,7 @@ class Physics:
     energy: Callable[[Tensor, Tensor], Tensor] | None
     flow: Flow
     sizes: tuple[int, int]
+    seen: tuple[int, ...] = ()
     meant: Callable[[Tensor], Tensor] | None = None
     rough: Emission | None = None
 
@@ -111,6 +113,7 @@ class Physics:
             reach=torch.tensor(self.reach),
             flow=self.flow,
             missing=self.missing if hybrid else None,
+            seen=self.seen,
         )
 
 

@@ -110,6 +110,7 @@ RIGID_BODY = Physics(
     energy=_energy,
     flow=RungeKutta(1),
     sizes=(192, 25),
+    seen=tuple(range(7)),
     meant=lambda p: _direction(p) if p.shape[-1] == 2 else p,
     rough=Cube(size=32, soft=0.35),
 )

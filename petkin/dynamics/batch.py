@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -42,8 +43,8 @@ def starting_point(
     driven = () if forcing is None else forcing(forcing.knots[:1]).shape[:-1]
     shapes = state.shape[:-1], parameters.shape[:-1], driven
     try:
-        batch = torch.broadcast_shapes(*shapes)
-    except RuntimeError as failure:
+        batch = np.broadcast_shapes(*shapes)
+    except ValueError as failure:
         raise InputError(
             f"{system.name}: the batches of initial state {tuple(shapes[0])}, parameters {tuple(shapes[1])} and "
             f"forcing {tuple(driven)} do not fit; give each one entry an element, or none."

@@ -56,7 +56,7 @@ class _Compiled(torch.autograd.Function):
 
     @staticmethod
     def forward(points: Tensor, t: Tensor) -> Tensor:
-        shape = torch.broadcast_shapes(points.shape[:-1], t.shape)
+        shape = np.broadcast_shapes(points.shape[:-1], t.shape)  # torch's loads a second of symbolic algebra
         rows = points.detach().expand(*shape, points.shape[-1]).reshape(-1, points.shape[-1])
         times = t.detach().expand(shape).reshape(-1)
         return torch.from_numpy(divided_differences(rows.numpy(), times.numpy())).reshape(shape)

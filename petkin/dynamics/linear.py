@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -152,7 +153,7 @@ def _tail(forcing: Forcing, nodes: Tensor) -> _Tail:
 def _joined(matrix: Tensor, drive: Tensor, tail: _Tail) -> Tensor:
     """M of the module."""
     coupling = drive[..., :, None] * tail.readout[..., None, :]
-    batch = torch.broadcast_shapes(matrix.shape[:-2], coupling.shape[:-2], tail.generator.shape[:-2])
+    batch = np.broadcast_shapes(matrix.shape[:-2], coupling.shape[:-2], tail.generator.shape[:-2])
     d, m = coupling.shape[-2:]
     top = torch.cat([matrix.expand(*batch, d, d), coupling.expand(*batch, d, m)], dim=-1)
     bottom = torch.cat([matrix.new_zeros(*batch, m, d), tail.generator.expand(*batch, m, m)], dim=-1)
@@ -162,7 +163,7 @@ def _joined(matrix: Tensor, drive: Tensor, tail: _Tail) -> Tensor:
 def _propagated(generator: Tensor, tail: _Tail, state: Tensor, steps: Tensor) -> Tensor:
     transitions = torch.linalg.matrix_exp(generator[..., None, :, :] * steps[:, None, None])
     d = state.shape[-1]
-    batch = torch.broadcast_shapes(generator.shape[:-2], tail.starts.shape[:-2], state.shape[:-1])
+    batch = np.broadcast_shapes(generator.shape[:-2], tail.starts.shape[:-2], state.shape[:-1])
     x, path = state.expand(*batch, d), []
     starts = tail.starts.expand(*batch, *tail.starts.shape[-2:])
     for i in range(steps.numel()):
@@ -185,7 +186,7 @@ def _straight_lines(forcing: Forcing, nodes: Tensor) -> _Tail:
 
 def _exponentials(forcing: ExponentialSum, since: Float[Tensor, "*b nodes"]) -> _Tail:
     """w_k = c n! s^k e^{l s} / k! of every term at time s since the onset, one Jordan block a term."""
-    batch = torch.broadcast_shapes(forcing.coefficients.shape[:-1], forcing.exponents.shape[:-1])
+    batch = np.broadcast_shapes(forcing.coefficients.shape[:-1], forcing.exponents.shape[:-1])
     on = since[..., :-1] + since[..., 1:] > 0  # by the middle of the piece: its start may miss the onset by rounding
     elapsed = since[..., :-1].clamp(min=0.0).to(forcing.coefficients.dtype)
     blocks, reads, starts = [], [], []

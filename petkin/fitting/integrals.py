@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from petkin.dynamics import Forcing
 from petkin.imaging import FrameObservation, FrameSchedule
@@ -34,6 +34,8 @@ def curve_integrals(observation: FrameObservation) -> tuple[Array, Array]:
     Returns:
         I (K, K) in min, J (K, K) in min^2; column k is what the value of frame k alone adds.
     """
+    from scipy.interpolate import CubicSpline
+
     edges, areas = _areas(observation.frames)
     ends: Any = (1, np.zeros(len(observation.frames))), "not-a-knot"
     running = CubicSpline(edges, areas, bc_type=ends)
@@ -72,7 +74,7 @@ def _areas(frames: FrameSchedule) -> tuple[Array, Array]:
     return np.array(edges), np.array(areas)
 
 
-def _report(curve: CubicSpline, observation: FrameObservation) -> Array:
+def _report(curve: Callable[[Array], Array], observation: FrameObservation) -> Array:
     """Frame values (K, ...) of a piecewise polynomial."""
     frames = observation.frames
     if observation.mid_frame:

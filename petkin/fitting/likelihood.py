@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
 
 from petkin.fitting.explicit import polish
+from petkin.fitting.f_distribution import quantile
 from petkin.fitting.nonlinear import NonlinearSettings
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import FitResult
@@ -56,7 +56,7 @@ class Likelihood:
         freedom = int(np.count_nonzero(weights > 0)) - len(settings.box.free)
         theta = np.array([result[s][row] for s in settings.model.parameters.symbols], np.float64)
         variance = float(result.chi2[row])
-        limit = float(fisher.ppf(LEVEL, 1, freedom))
+        limit = quantile(LEVEL, 1, freedom)
         return cls(settings, packed, z[:, 0], float(size[0]), theta, variance * freedom, variance, limit)
 
     def walk(self, which: NDArray[np.intp], scale: list[float]) -> list[Array]:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
 
 from petkin.fitting.bounded import fit_in_box
 from petkin.fitting.cones import nearest, room
+from petkin.fitting.f_distribution import quantile
 from petkin.fitting.nonlinear import NonlinearSettings, alike, squeeze
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Column, FitResult, Status
@@ -56,7 +56,7 @@ def with_second_minimum(
             continue
         packed = squeeze(table, weights, settings)
         freedom = int(np.count_nonzero(weights > 0)) - len(settings.box.free)
-        limit = result.chi2[rows] * freedom * (1.0 + fisher.ppf(0.95, 1, freedom) / freedom)
+        limit = result.chi2[rows] * freedom * (1.0 + quantile(0.95, 1, freedom) / freedom)
         z, sizes, _ = project_curves(packed, weights, np.asarray(curves)[rows].T, 0, len(rows))
         curve, values, cost = _minima(packed, z, sizes, settings)
         far = np.abs(values - best[rows][curve]) > _APART * error[rows][curve]

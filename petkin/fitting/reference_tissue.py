@@ -18,7 +18,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from petkin.errors import InputError
 from petkin.fitting.choices import Choices
@@ -116,6 +115,8 @@ def shared_k2prime(
     tried = np.linspace(slowest, fastest, _TRIED)
     best = int(np.argmin([cost(x) for x in tried]))
     around = tried[max(best - 1, 0)], tried[min(best + 1, _TRIED - 1)]
+    from scipy.optimize import minimize_scalar
+
     found = minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-7})
     freedom = max(int(np.count_nonzero(weights)) * len(sizes) - 2 * len(sizes) - 1, 1)
     bend = (cost(found.x - _STEP) - 2.0 * found.fun + cost(found.x + _STEP)) / _STEP**2

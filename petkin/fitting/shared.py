@@ -19,11 +19,11 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
 
 from petkin.errors import InputError
 from petkin.fitting.curves import finite_curves
 from petkin.fitting.explicit import best_polish
+from petkin.fitting.f_distribution import exceeded
 from petkin.fitting.nonlinear import NonlinearSettings, fit_curves
 from petkin.fitting.results import Estimate, FitResult, Plot, Status
 from petkin.fitting.search import REGIONS
@@ -290,7 +290,7 @@ def _remarks(model: str, symbol: str, profile: Profile, regions: _Regions) -> tu
     """What the regions say against one value, and whether it ran into a bound."""
     count = len(regions.noise)
     rise = (float(profile.costs.min()) - count * regions.freedom) / (count - 1)
-    chance = float(fisher.sf(rise, count - 1, count * regions.freedom))
+    chance = float(exceeded(rise, count - 1, count * regions.freedom))
     remarks = []
     if chance < _CONTRADICTED:
         remarks.append(

@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
@@ -110,8 +109,22 @@ def _built(arterial: _Itself, observation: _Itself, rate_bounds: tuple[float, fl
     basis, above, below = np.split(values, [nodes, nodes + len(beside)])
     lowest = np.tensordot(_ONE_SIDED, np.concatenate([basis[:1], above]), 1) / _STEP
     highest = -np.tensordot(_ONE_SIDED, np.concatenate([basis[-1:], below]), 1) / _STEP
-    spline = CubicSpline(u, basis, bc_type=((1, lowest), (1, highest)))  # type: ignore[arg-type] (stubs know only words)
-    return BasisTable(u, basis, spline(u, 1), blood.numpy())
+    return BasisTable(u, basis, _spline_slopes(basis, float(u[1] - u[0]), lowest, highest), blood.numpy())
+
+
+def _spline_slopes(values: Array, spacing: float, first: Array, last: Array) -> Array:
+    """Slopes s of the cubic spline through equally spaced rows whose end slopes are given:
+
+    s_(i-1) + 4 s_i + s_(i+1) = 3 (y_(i+1) - y_(i-1)) / h, from above downwards and back (Thomas).
+    """
+    slopes, ahead = np.empty_like(values), np.zeros(len(values))
+    slopes[0], slopes[-1] = first, last
+    for i in range(1, len(values) - 1):
+        ahead[i] = 1.0 / (4.0 - ahead[i - 1])
+        slopes[i] = ahead[i] * (3.0 * (values[i + 1] - values[i - 1]) / spacing - slopes[i - 1])
+    for i in range(len(values) - 2, 0, -1):
+        slopes[i] -= ahead[i] * slopes[i + 1]
+    return slopes
 
 
 @dataclass(frozen=True)

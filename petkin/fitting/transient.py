@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
 
+from petkin.fitting.f_distribution import exceeded, quantile
 from petkin.fitting.given import Given
 from petkin.fitting.integrals import curve_integrals
 from petkin.fitting.linear import LinearDesign, LinearSolutions, LinearSolver
@@ -123,7 +123,7 @@ def fit_transient(curves: NDArray[np.floating], given: Given, *, keep_predicted:
                 values[:, rows], percent[:, rows] = best.quantities(tried, freedom)
                 chi2[rows] = best.wrss / freedom
                 gain = (baseline.wrss - best.wrss) / _ADDED / chi2[rows]
-            chance[rows] = np.where(best.found, fisher.sf(gain, _ADDED, freedom), 1.0)
+            chance[rows] = np.where(best.found, exceeded(gain, _ADDED, freedom), 1.0)
             status[rows] = _status(baseline, best, chance[rows], percent[0, rows])
 
     in_parts(fit, len(curves))
@@ -180,7 +180,7 @@ class _Best:
         times = np.where(self.found, tried.times[:, self.which], np.nan)
         binding = -k2 / minus_k2a - 1.0
         spread = np.hypot(errors[1] / k2, errors[2] / minus_k2a) * (binding + 1.0)
-        near = self.costs <= self.wrss * (1.0 + fisher.ppf(_ONE_ERROR, 1, freedom) / freedom)
+        near = self.costs <= self.wrss * (1.0 + quantile(_ONE_ERROR, 1, freedom) / freedom)
         ranges = [0.5 * (_largest(near, row) + _largest(near, -row)) for row in tried.times]
         ranges[:2] = [np.maximum(one, 0.5 * tried.step) for one in ranges[:2]]
         values = np.stack([-minus_gamma, R1, k2, -minus_k2a, binding, *times])

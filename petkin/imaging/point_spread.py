@@ -8,8 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d
-from scipy.special import ive
 
 from petkin.errors import InputError
 
@@ -31,6 +29,8 @@ def gaussian_kernel(fwhm: float, voxel: float) -> Float[NDArray, " taps"]:
 
     Reference: Lindeberg T. Scale-space for discrete signals. IEEE Trans PAMI 1990;12:234-254. doi:10.1109/34.49051
     """
+    from scipy.special import ive
+
     sigma = fwhm / FWHM_PER_SIGMA / voxel
     reach = math.ceil(_REACH * sigma) + 2
     weights = ive(np.abs(np.arange(-reach, reach + 1)), sigma**2)
@@ -51,6 +51,8 @@ def blur(volume: NDArray[np.floating], fwhm: float, voxel_size: Sequence[float])
     Raises:
         InputError: negative width, or a voxel size that is not positive.
     """
+    from scipy.ndimage import convolve1d
+
     if not (math.isfinite(fwhm) and fwhm >= 0):
         raise InputError(f"A point spread of {fwhm:g} mm cannot be; give its FWHM, 0 mm or more.")
     if not all(v > 0 for v in voxel_size):

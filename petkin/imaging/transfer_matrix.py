@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
 
 from petkin.errors import InputError
 from petkin.imaging.point_spread import blur, gaussian_kernel
@@ -112,6 +111,8 @@ def transfer_matrix(
         fwhm: full width at half maximum of the point spread, mm.
         voxel_size: mm, one value an axis.
     """
+    from scipy.ndimage import find_objects
+
     order = sorted(names)
     place = np.searchsorted(order, labels).astype(np.int32)
     place[np.append(order, -1)[place] != labels] = len(order)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from petkin.inputs.blood_table import Samples
 
@@ -50,6 +49,8 @@ def through(samples: Samples, *, washout_from: float = 0.0) -> Curve:
 
     Reference: Fritsch FN, Carlson RE. SIAM J Numer Anal 1980;17:238-246. doi:10.1137/0717021
     """
+    from scipy.interpolate import PchipInterpolator
+
     x, y = samples.times, samples.values
     if x[0] > 0:
         x, y = np.append(0.0, x), np.append(0.0, y)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 #: Starts that are polished, out of the grid.
 _POLISHED = 4
@@ -60,6 +59,8 @@ def fit_curve(
     Returns:
         The best of the polished fits.
     """
+    from scipy.optimize import least_squares
+
     lower, upper = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
     grid = [np.clip(np.array(point), lower, upper) for point in itertools.product(*starts)]
     grid.sort(key=lambda point: float(np.square(curve(times, point) - values).sum()))

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from petkin.errors import InputError
 from petkin.inputs.least_squares import fit_curve
@@ -188,6 +187,8 @@ def _fitted(name: str, times: _Array, values: _Array, start: float, *, free: boo
 
 
 def _interpolated(times: _Array, values: _Array, start: float) -> ParentFractionFit:
+    from scipy.interpolate import PchipInterpolator
+
     later = times > 0.0
     knots, levels = np.append(0.0, times[later]), np.append(start, values[later])
     positive = bool(levels.min() > 0)  # the logarithm follows the convex tail, but cannot meet 0

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from torch import Tensor
 
 from petkin.dynamics import Forcing, PiecewiseLinear
@@ -60,6 +59,8 @@ def smoothest(edges: Array, report: Callable[[Forcing], Tensor]) -> Smoothest:
         edges: starts and ends of the frames, min, any order.
         report: frame values (..., K) of a curve, or of a batch of them; linear.
     """
+    from scipy.linalg import cho_factor, cho_solve
+
     edges = np.unique(np.append(edges, 0.0))
     share = np.arange(_PIECES) / _PIECES
     times = np.append((edges[:-1, None] + np.diff(edges)[:, None] * share).ravel(), edges[-1])

@@ -19,7 +19,8 @@ from petkin.study.simulation.blood import blood_recordings
 from petkin.study.simulation.images import image_frames
 from petkin.study.simulation.scene import Scene, scene
 from petkin.study.simulation.sidecars import pet_sidecar
-from petkin.study.simulation.truth import TRUTH_FOLDER, truth_description, write_truth
+from petkin.study.simulation.truth import truth_description, write_truth
+from petkin.study.truth import TRUTH_FOLDER
 from petkin.units import KBQ_PER_ML
 
 #: Called after every frame with how many are done, of how many.

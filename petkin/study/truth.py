@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -11,8 +11,13 @@ from petkin.io.descriptions import measure_name
 from petkin.io.names import kinpar_path
 from petkin.kinetics import MODELS, CompartmentModel
 from petkin.reporting import TruthRow
-from petkin.study.simulation.truth import SEGMENTATION, TRUTH, TRUTH_FOLDER
 from petkin.study.sources import Source
+
+#: Folder below a simulated study, and label of the segmentation.
+TRUTH_FOLDER = PurePosixPath("derivatives/phantom")
+SEGMENTATION = "phantom"
+#: desc label of everything that holds the truth, and of curves without noise.
+TRUTH, NOISE_FREE = "truth", "noisefree"
 
 
 def known_truth(study: Path, source: Source) -> tuple[TruthRow, ...]:

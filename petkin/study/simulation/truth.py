@@ -20,12 +20,7 @@ from petkin.io.names import dseg_path, kinpar_path, map_path, report_path, sidec
 from petkin.kinetics import compartment_model
 from petkin.study.simulation.planning import Plan
 from petkin.study.simulation.scene import Scene
-
-#: Folder below the study, and label of the segmentation.
-TRUTH_FOLDER = PurePosixPath("derivatives/phantom")
-SEGMENTATION = "phantom"
-#: desc label of everything that holds the truth, and of curves without noise.
-TRUTH, NOISE_FREE = "truth", "noisefree"
+from petkin.study.truth import NOISE_FREE, SEGMENTATION, TRUTH, TRUTH_FOLDER
 
 
 def truth_description(study: str) -> dict[str, Any]:

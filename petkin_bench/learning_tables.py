@@ -87,7 +87,7 @@ def _table(title: str, part: pd.DataFrame) -> Table:
         table.add_column(column, no_wrap=True)
     rows: dict[tuple[str, str], dict[str, str]] = {}
     for figure in _records(part):
-        cells = rows.setdefault((f"{figure['method']} {figure['variant']}", str(figure["split"])), {})
+        cells = rows.setdefault((f"{figure['method']}\n{figure['variant']}", str(figure["split"])), {})
         cells["seeds"] = str(figure["count"])
         cells[str(figure["metric"])] = _cell(figure["mean"], figure["published"], figure["ratio"])
     for names, cells in rows.items():
@@ -96,4 +96,4 @@ def _table(title: str, part: pd.DataFrame) -> Table:
 
 
 def _cell(ours: float, published: float, ratio: float) -> str:
-    return f"{ours:.2g}" if pd.isna(published) else f"{ours:.2g} / {published:.2g} = {ratio:.2g}"
+    return f"{ours:.2g}" if pd.isna(published) else f"{ours:.2g} / {published:.2g}\n= {ratio:.2g}"

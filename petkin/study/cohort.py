@@ -136,7 +136,9 @@ def _cluster(execution: Execution) -> Iterator[Client]:
         LocalCluster(
             n_workers=execution.workers,
             threads_per_worker=1,
-            dashboard_address=None,  # pyright: ignore[reportArgumentType] (as its documentation says)
+            # no dashboard; what else listens takes any free port: None asks for 8787 and complains where it is taken
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
             memory_limit=0,  # petkin keeps to a limit of its own
             silence_logs=logging.CRITICAL,
             env={"NUMBA_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": "1"},

@@ -25,7 +25,7 @@ from petkin.study.resources import Resources
 from petkin.study.series import VoxelCurves, choose_mask, extract
 from petkin.study.sources import Source
 from petkin.study.t_star import with_t_star
-from petkin.study.whole_brain import frame_weights, shared_delay, whole_brain
+from petkin.study.whole_brain import coarse_frames, frame_weights, shared_delay, whole_brain
 
 #: Share of negative voxel values in the mask from which on it is worth a remark.
 _MANY_NEGATIVE = 0.01
@@ -103,6 +103,7 @@ def fit_scan(
     if request.estimate_dispersion and arterial is not None:
         arterial, smeared = freed_input(source, whole, observation, weights, request, curves)
     delay, applied, doubt = shared_delay(whole, arterial, observation, weights, request, curves)
+    coarse = coarse_frames(source.frames, delay)
     arrived = None if arterial is None else arterial.delayed(applied[0])
     given = Given(observation, weights, arrived, reference_curve(source, request, curves), source.suv)
     # maps are not corrected, so their reference is not either
@@ -136,6 +137,7 @@ def fit_scan(
         *source.remarks,
         *([smeared] if smeared else []),
         *([warning("delay-unknown", source.label, doubt)] if doubt else []),
+        *([warning("delay-coarse", source.label, coarse)] if coarse else []),
         *(correction.remarks if correction is not None else ()),
         *([denoising_remark(source)] if request.hypr is not None else []),
         *_remarks(source, whole, voxels, *zip(methods, regional), *zip(methods, by_voxel)),
@@ -179,7 +181,7 @@ def _curves(
         return None, source.curves or extract(source.image, source.frames, wanted), correction
     mask, how = choose_mask(source.image, source.frames, source.mask, regions)
     count = int(np.count_nonzero(mask))
-    plan = resources.plan(source.image, count, len(request.models))
+    plan = resources.plan(source.image, count, len(request.models), denoised=request.hypr is not None)
     rows = plan.rows("curves", source.image.count, count)
     wanted = wanted if source.curves is None and request.level != "voxel" else None
     curves = extract(source.image, source.frames, wanted, mask=mask, into=rows)

@@ -31,7 +31,7 @@ _TOO_SURE = (
 
 
 def denoise(voxels: VoxelCurves, source: Source, fwhm: float) -> None:
-    """Denoise the curves of a scan's voxels by HYPR-LR, in place; about ten volumes are held while it lasts.
+    """Denoise the curves of a scan's voxels by HYPR-LR, in place; their memory plan counts what that holds.
 
     The mean curve, from which weights and delay come, stays that of the image.
 

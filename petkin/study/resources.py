@@ -21,8 +21,10 @@ _CONTAINER = Path("/sys/fs/cgroup")
 _PART = 16384
 #: Numbers of 8 bytes a voxel that a fit holds at a time, beyond `_PER_FRAME` a frame (measured: Logan takes most).
 _PER_VOXEL, _PER_FRAME = 48, 8
-#: Bytes of compiled code and of what draws reports, both loaded when a scan has been planned (measured: 145 MB).
-_LATER = 160 * 2**20
+#: Bytes of compiled code, what draws reports, and scipy: loaded when a scan has been planned (measured: 181 MB).
+_LATER = 192 * 2**20
+#: Bytes a voxel of the grid that denoising holds, its composite and frames (measured: 41).
+_DENOISING = 44
 #: Maps of a model, standard errors among them, that results are planned for.
 _MAPS = 24
 
@@ -69,14 +71,14 @@ class Resources:
     spread: Spread = map
     helpers: int = 1
 
-    def plan(self, series: Series, voxels: int, models: int) -> Plan:
-        """How the voxels of a series are fitted within the memory.
+    def plan(self, series: Series, voxels: int, models: int, *, denoised: bool = False) -> Plan:
+        """How the voxels of a series are denoised and fitted within the memory.
 
         Raises:
             InputError: it does not hold one frame and what belongs to it.
         """
         here, grid = psutil.Process().memory_info().rss + _LATER, int(np.prod(series.shape))
-        frame = grid * (3 * max(series.header.dtype.itemsize, 4) + 12)
+        frame = grid * max(3 * max(series.header.dtype.itemsize, 4) + 12, _DENOISING if denoised else 0)
         voxel = 8 * (_PER_VOXEL + _PER_FRAME * series.count)
         left = self.memory - here - frame
         if left < voxel * _PART:

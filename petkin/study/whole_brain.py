@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.fitting import Delay, counting_weights, estimate_delay
-from petkin.imaging import FrameObservation
+from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
 from petkin.io import RegionalCurves, read_table
 from petkin.io.tables import numbers
@@ -17,6 +17,9 @@ from petkin.kinetics import ONE_TISSUE, TWO_TISSUE
 from petkin.study.request import FitRequest
 from petkin.study.series import VoxelCurves
 from petkin.study.sources import Source
+
+#: Frames as long as this (min), all of them while the tracer arrives, average a delay of seconds away.
+_LONG, _ARRIVAL = 0.75, 3.0
 
 
 def whole_brain(voxels: VoxelCurves | None, curves: RegionalCurves | None) -> NDArray[np.float64]:
@@ -98,6 +101,21 @@ def shared_delay(
         "the span): none was applied; check the blood's time zero, or give --delay."
     )
     return found, (0.0, float("nan")), text
+
+
+def coarse_frames(frames: FrameSchedule, delay: Delay | None) -> str:
+    """That frames are too long to tell the delay that was estimated from them, or ""."""
+    if delay is None or delay.at_end:
+        return ""
+    early = frames.duration[frames.start < _ARRIVAL]
+    if early.size and early.min() < _LONG:
+        return ""
+    seen = f"frames of {60 * early.min():.0f} s and longer" if early.size else "no frame"
+    return (
+        f"The delay between blood and brain ({60 * delay.minutes:.0f} s) was estimated with {seen} in the first "
+        f"{_ARRIVAL:g} min, while the tracer arrives: it may be off by tens of seconds, whatever its standard error; "
+        "give --delay where it is known."
+    )
 
 
 def seen_for_delay(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -59,6 +60,16 @@ def _running(study: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
             process.communicate()
 
 
+@contextmanager
+def _taken(port: int) -> Iterator[None]:
+    """A port that this process, or else another, listens at."""
+    with socket.socket() as server:
+        with suppress(OSError):
+            server.bind(("127.0.0.1", port))
+            server.listen()
+        yield
+
+
 def _until(there: Callable[[], T | None]) -> T:
     """What `there` gives, as soon as it gives something."""
     end = time.monotonic() + 120
@@ -87,8 +98,9 @@ def _results(study: Path) -> dict[str, bytes]:
 
 
 def test_a_worker_is_killed(cohort: tuple[Path, dict[str, bytes]]) -> None:
+    """What listens beside the scheduler takes another port where its usual one is taken, without a word."""
     study, serial = cohort
-    with _running(study, "--again") as process:
+    with _taken(8787), _running(study, "--again") as process:
         victim = _until(lambda: _at_work(study))[0]
         assert victim != process.pid
         os.kill(victim, signal.SIGKILL)

@@ -45,16 +45,34 @@ def _fit(folder: Path, *more: str) -> tuple[int, str, float]:
     return done.returncode, done.stderr, float(done.stdout) / 2 ** (30 if sys.platform == "darwin" else 20)
 
 
-def test_a_limit_is_kept_and_changes_nothing(tmp_path: Path) -> None:
-    """All voxels of a fifth of a gigabyte of curves and maps, within what the program needs for a frame and a block."""
+def _image(folder: Path) -> None:
     mask = np.ones(_SHAPE, np.bool_)
     problem = fit_problem(voxels=2048, percent=5.0)
-    write_image(tmp_path, replace(problem, curves=np.tile(problem.curves, (mask.size // 2048, 1))), mask)
-    status, said, _ = _fit(tmp_path, "--memory", "1M")
+    write_image(folder, replace(problem, curves=np.tile(problem.curves, (mask.size // 2048, 1))), mask)
+
+
+def _least(folder: Path, *more: str) -> float:
+    """The smallest limit that the command accepts, GiB."""
+    status, said, _ = _fit(folder, "--memory", "1M", *more)
     assert status == 2
     least = re.search(r"give at least (\d+\.\d\d)G", said)
     assert least is not None
-    limit = float(least.group(1)) + 0.01
+    return float(least.group(1)) + 0.01
+
+
+def test_a_limit_holds_for_denoising_too(tmp_path: Path) -> None:
+    _image(tmp_path)
+    limit = _least(tmp_path, "--hypr", "6")
+    assert limit > _least(tmp_path)
+    status, _, held = _fit(tmp_path, "--hypr", "6", "--memory", f"{limit:.3f}G")
+    assert status == 0
+    assert held <= limit
+
+
+def test_a_limit_is_kept_and_changes_nothing(tmp_path: Path) -> None:
+    """All voxels of a fifth of a gigabyte of curves and maps, within what the program needs for a frame and a block."""
+    _image(tmp_path)
+    limit = _least(tmp_path)
     results = []
     for more in ((), ("--memory", f"{limit:.3f}G")):
         status, said, held = _fit(tmp_path, *more)

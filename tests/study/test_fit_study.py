@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,14 @@ import pandas as pd
 import pytest
 
 from petkin.errors import InputError
-from petkin.fitting import Choices
+from petkin.fitting import Choices, Delay
+from petkin.imaging import FrameSchedule
 from petkin.study.fit import fit_study
 from petkin.study.outcome import Fitted
 from petkin.study.request import FitRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
+from petkin.study.whole_brain import coarse_frames
 
 PET = Path("sub-01/pet")
 
@@ -54,6 +57,34 @@ def test_an_injected_delay_is_found(tmp_path: Path, seconds: float) -> None:
     assert percent_off(found, study, "VT").max() < 1
     ignored = by_region(study, delay=0.0)
     assert percent_off(ignored, study, "K1").max() > 2 * percent_off(found, study, "K1").max()
+
+
+def test_frames_too_long_to_tell_the_delay_are_warned_of(tmp_path: Path) -> None:
+    study = simulated(tmp_path, frames="26x120")
+    found = by_region(study)
+    (warned,) = (remark for remark in found.remarks if remark.code == "delay-coarse")
+    assert "frames of 120 s and longer in the first 3 min" in str(warned)
+    assert str(warned) in found.report.read_text()
+    given = by_region(study, delay=0.0)
+    assert not [remark for remark in given.remarks if remark.code == "delay-coarse"]
+
+
+@pytest.mark.parametrize(
+    ("starts_s", "ends_s", "seen"),
+    [
+        ((0, 30, 60, 120), (30, 60, 120, 300), ""),
+        ((0, 60, 120), (60, 120, 300), "frames of 60 s and longer"),
+        ((0, 100, 120, 600), (100, 120, 600, 610), ""),
+        ((1800, 2100), (2100, 2400), "no frame"),
+    ],
+)
+def test_the_shortest_frame_while_the_tracer_arrives_counts(starts_s: tuple, ends_s: tuple, seen: str) -> None:
+    frames = FrameSchedule(np.array(starts_s) / 60, np.array(ends_s) / 60)
+    delay = Delay(0.2, 0.01, False, (np.zeros(1), np.zeros(1)), np.zeros(1))
+    text = coarse_frames(frames, delay)
+    assert bool(text) == bool(seen)
+    assert seen in text
+    assert coarse_frames(frames, None) == coarse_frames(frames, replace(delay, at_end=True)) == ""
 
 
 def test_nothing_is_warned_of_where_nothing_is_odd(tmp_path: Path) -> None:

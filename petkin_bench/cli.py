@@ -263,6 +263,30 @@ def real_scans(
     typer.echo(f"Appended to {append_rows('real_scans', [row | {'seed': seed} for row in rows])}")
 
 
+@app.command()
+def forecast(
+    data: Annotated[Path, typer.Option(help="PET-BIDS study with regional curves and blood.")],
+    seg: Annotated[str | None, typer.Option(help="Which table of curves, by its seg- label.")] = None,
+    results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
+) -> None:
+    """Forecast the withheld later half of real curves, each person by what the scans of the others teach.
+
+    Rows are appended to petkin_bench/results/forecast.csv.
+    """
+    import torch
+
+    from petkin.cli.progress import progress_bar
+    from petkin_bench.forecast import measure_forecasts, read_scans, summary
+    from petkin_bench.provenance import RESULTS, append_rows
+
+    torch.set_num_threads(1)
+    with progress_bar() as step:
+        rows = measure_forecasts(read_scans(data, seg), step)
+    typer.echo(summary(rows).to_string())
+    kept = [row | {"study": data.resolve().name} for row in rows]
+    typer.echo(f"Appended to {append_rows('forecast', kept, results or RESULTS)}")
+
+
 def main() -> None:
     """Run the command line; a `PetkinError` becomes one line on standard error and exit status 2."""
     try:

@@ -18,6 +18,7 @@ from petkin.cli.info import info
 from petkin.cli.models import models
 from petkin.cli.simulate import simulate
 from petkin.cli.tacs import tacs
+from petkin.cli.train import train
 from petkin.errors import PetkinError
 
 
@@ -39,7 +40,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-for verb in (simulate, fit, diagnose, models, tacs, info, demo):
+for verb in (simulate, train, fit, diagnose, models, tacs, info, demo):
     app.command(cls=_Panelled)(verb)
 
 

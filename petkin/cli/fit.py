@@ -94,6 +94,10 @@ def fit(
         float | None,
         typer.Option("--body-weight", help="Body weight for SUV, kg. Default: the study's.", rich_help_panel=_INPUT),
     ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="What petkin train learned, for --model hybrid.", rich_help_panel=_MODEL),
+    ] = None,
     bounds: Annotated[
         list[str] | None, typer.Option(help="Bounds of a parameter, e.g. K1=0:2; repeatable.", rich_help_panel=_MODEL)
     ] = None,
@@ -263,6 +267,7 @@ def fit(
         share=tuple(dict.fromkeys(s for s in share or () if s != DELAY)),
         certify=certify,
         device=device,
+        checkpoint=checkpoint,
     )
     request = FitRequest(
         target=target,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from petkin.fitting.nonlinear import FASTEST_RATE, SLOWEST_RATE
 
@@ -21,6 +22,7 @@ class Choices:
         share: symbols that all regions of a scan have in common.
         certify: whether voxels too are proven to be near the best of all fits, where the method can.
         device: where torch searches voxels of compartment models, e.g. "cuda"; None for compiled code on the CPU.
+        checkpoint: what a learned method learned.
     """
 
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -31,3 +33,4 @@ class Choices:
     share: tuple[str, ...] = ()
     certify: bool = False
     device: str | None = None
+    checkpoint: Path | None = None

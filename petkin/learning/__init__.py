@@ -1,22 +1,44 @@
 """Learning: tissue known in part, identified by the hybrid engine from frames under known inputs."""
 
+from petkin.learning.common import Common, Curves, Keep, identify, learn
 from petkin.learning.errors import SHARES, curve_errors, predict
 from petkin.learning.population import PAPER, Population, draw
 from petkin.learning.responses import Known, Responses
 from petkin.learning.tissue import PRIORS, RESIDUALS, Conditions, tissue_model, tissue_task
+from petkin.learning.tracer import (
+    Identified,
+    Measured,
+    conditions_of,
+    drawn_curves,
+    identify_scan,
+    together,
+    train_tracer,
+)
 
 __all__ = [
     "PAPER",
     "PRIORS",
     "RESIDUALS",
     "SHARES",
+    "Common",
     "Conditions",
+    "Curves",
+    "Identified",
+    "Keep",
     "Known",
+    "Measured",
     "Population",
     "Responses",
+    "conditions_of",
     "curve_errors",
     "draw",
+    "drawn_curves",
+    "identify",
+    "identify_scan",
+    "learn",
     "predict",
     "tissue_model",
     "tissue_task",
+    "together",
+    "train_tracer",
 ]

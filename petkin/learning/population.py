@@ -30,7 +30,7 @@ class Population:
 
     Args:
         observation: frames, and how they average.
-        ranges: of the tissue's rate constants.
+        ranges: of the tissue's rate constants; of vB where there is blood.
         rise: A1 of the paper's plasma curve is drawn from here, activity concentration/min.
         model: of the tissue.
         noise: percent, of frame values, see `petkin.imaging.CountingNoise`; the reference is each curve's mean.
@@ -97,7 +97,9 @@ def draw(population: Population, subjects: int, scans: int, seed: int) -> tuple[
     rises = population.rise[0] + (population.rise[1] - population.rise[0]) * rng.random((subjects, scans))
     rise = torch.tensor(rises).repeat_interleave(population.regions, dim=0) / _UNIT_RISE
     amounts = torch.stack([torch.ones_like(rise), rise], dim=-1)
-    rates = torch.nn.functional.pad(truth, (0, len(model.parameters) - model.rates))
+    blood = population.ranges.get("vB", (0.0, 0.0))
+    vB = torch.tensor(rng.uniform(*blood, (len(truth), 1)) if blood[1] > 0 else np.zeros((len(truth), 1)))
+    rates = torch.cat([torch.nn.functional.pad(truth, (0, len(model.parameters) - model.rates - 1)), vB], dim=-1)
     ends = torch.tensor(observation.frames.end)
     parts = [
         torch.stack([model.tissue(rates, u, ends), model.frame_values(rates, InputFunction(u, u), observation)], -1)

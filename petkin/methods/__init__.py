@@ -5,6 +5,7 @@ from petkin.kinetics import MODELS
 from petkin.methods.checks import check_choices
 from petkin.methods.compartments import compartments
 from petkin.methods.frtm import FRTM
+from petkin.methods.hybrid import HYBRID
 from petkin.methods.logan import LOGAN
 from petkin.methods.logan_ref import LOGAN_REF
 from petkin.methods.lp_ntpet import LP_NTPET
@@ -46,12 +47,12 @@ METHODS = (
 
 
 def find_method(label: str) -> Method:
-    """The method with this label.
+    """The method with this label; HYBRID is one of them once there is a checkpoint.
 
     Raises:
         InputError: there is none.
     """
-    for method in METHODS:
+    for method in (*METHODS, HYBRID):
         if method.label.lower() == label.lower():
             return method
     raise InputError(f"There is no model {label!r}; choose from {', '.join(m.label for m in METHODS)}.")

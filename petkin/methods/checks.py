@@ -35,6 +35,9 @@ def check_choices(methods: tuple[Method, ...], choices: Choices) -> None:
             )
     if len(choices.share) > 1:
         raise InputError(f"--share is given {' and '.join(choices.share)}; one parameter can be shared at a time.")
+    learned = [method.label for method in methods if method.label == "hybrid"]
+    if bool(learned) != (choices.checkpoint is not None):
+        raise InputError("--model hybrid and --checkpoint FILE (made by petkin train) go together.")
     slow, fast = choices.rate_bounds
     if not 0 <= slow < fast:
         raise InputError(f"Rates from {slow:g} to {fast:g} per min are no interval; give e.g. 0.001:5.")

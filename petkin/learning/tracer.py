@@ -1,0 +1,267 @@
+"""Tissue learned from a population, for any scan: one tissue compartment, its f_NN's hypernetwork, and the prior.
+
+Curves and inputs are scaled together to a common level, so that a dose more or less changes nothing. A card says what
+was learned from; what lies outside of it is refused where it makes no sense (another nuclide), and else said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from petkin.errors import InputError
+from petkin.hybrid import HybridField, Settings, load_tensors
+from petkin.hybrid.checkpoint import below
+from petkin.learning.common import Common, Curves, Keep, identify, learn
+from petkin.learning.flow import TissueFlow
+from petkin.learning.population import Population, draw
+from petkin.learning.responses import Known
+from petkin.learning.tissue import Conditions, tissue_task
+
+#: Mean of a scan's curves after scaling: the scale of f_NN.
+LEVEL = 10.0
+#: Largest sum of rates that is tabulated, 1/min.
+_HIGHEST = 2.0
+#: c_p unless the card says otherwise.
+BOUNDS = {"K1": (0.0, 1.0), "k2": (0.0, 1.0), "vB": (0.0, 0.2)}
+KIND = "tissue of one compartment and what it lacks"
+_IDENTIFY = Settings(steps=300, rate=1e-2)
+#: Step in u of differences; hours of constant plasma and the step (min) that VT is told by.
+_STEP, _HOURS, _EULER = 1e-2, 10.0, 0.5
+#: Relative difference of half-lives, and of lengths and heights, that is let pass.
+_SAME, _BEYOND = 0.01, 0.1
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One scan.
+
+    Args:
+        values: frame values (R, K), kBq/mL.
+        weights: relative inverse variances (K,) or (R, K).
+        known: input and frames.
+    """
+
+    values: Float[Tensor, "R K"]
+    weights: Tensor
+    known: Known
+
+    @property
+    def scale(self) -> float:
+        """To the common level."""
+        return LEVEL / float(self.values.mean())
+
+
+def together(scans: Sequence[Measured]) -> Curves:
+    """Curves of scans, scaled; each scan's input has the amount that it is scaled by."""
+    one = torch.eye(len(scans))
+    return Curves(
+        torch.cat([scan.scale * scan.values for scan in scans]).float(),
+        torch.cat([scan.weights.expand_as(scan.values) for scan in scans]).float(),
+        torch.cat([scan.scale * one[j].expand(len(scan.values), -1) for j, scan in enumerate(scans)]),
+    )
+
+
+def train_tracer(
+    conditions: Conditions,
+    curves: Curves,
+    path: Path,
+    settings: Settings,
+    card: Mapping[str, Any],
+    *,
+    residual: str,
+    half_life: float,
+    progress: Callable[[int, float], None],
+) -> None:
+    """Learn from the curves of a population, and keep it.
+
+    Args:
+        conditions: their inputs and frames.
+        curves: at the common level.
+        path: checkpoint to write, or to go on from.
+        settings: of the training.
+        card: where the population comes from.
+        residual: what f_NN sees, see `RESIDUALS`.
+        half_life: of the radionuclide, min.
+        progress: told the step and the misfit.
+
+    Raises:
+        InputError: a checkpoint of another training.
+    """
+    full = {
+        "kind": KIND,
+        "residual": residual,
+        "bounds": {symbol: list(pair) for symbol, pair in BOUNDS.items()},
+        "half_life_min": half_life,
+        "end_min": float(conditions.grid.nodes[-1]),
+        "highest": float(curves.values.max()),
+        "curves": len(curves.values),
+        "steps": settings.steps,
+        "seed": settings.seed,
+        **card,
+    }
+    common = Common(tissue_task("meta_hylad", conditions, BOUNDS, residual=residual), settings.seed)
+    learn(common, curves, settings, progress, Keep(path, full))
+
+
+def conditions_of(scans: Sequence[Measured]) -> Conditions:
+    """Inputs and frames of scans, which have as many frames each.
+
+    Raises:
+        InputError: they have not.
+    """
+    return Conditions.of([scan.known for scan in scans], torch.eye(len(scans)), highest=_HIGHEST)
+
+
+def drawn_curves(population: Population, subjects: int, seed: int) -> tuple[Conditions, Curves]:
+    """Simulated scans, one a subject, at the common level.
+
+    Args:
+        population: what to draw from.
+        subjects: how many.
+        seed: of the draw.
+    """
+    conditions = Conditions.of(
+        [Known(u, u, population.observation) for u in population.inputs], population.told, highest=_HIGHEST
+    )
+    _, measured = draw(population, subjects, 1, seed)
+    values, amounts = measured.states[:, 0, :, 1], measured.states[:, 0, 0, 2:]
+    level = values.unflatten(0, (subjects, -1)).mean(dim=(1, 2)).repeat_interleave(population.regions)[:, None]
+    weights = population.observation.divisor.float() / (values / level).clamp_min(0.05)
+    return conditions, Curves(LEVEL * values / level, weights / weights.mean(), LEVEL * amounts / level)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Curves of one scan as a learned tissue explains them, in the scan's own unit.
+
+    Args:
+        physics: K1, k2, vB, and VT = C_T / C_P once both are at rest, NaN where they do not come to rest (n, 4).
+        percent_se: of them, from the curvature of misfit and prior (n, 4).
+        predicted: frame values (n, K).
+        nodes: times, min (N,).
+        tissue: C_T at the nodes (n, N), kBq/mL.
+        learned: f_NN there (n, N), kBq/mL/min.
+        misfit: weighted sum of squares over frames with weight (n,).
+        remarks: what lies outside of what was learned from, a sentence each.
+    """
+
+    physics: Tensor
+    percent_se: Tensor
+    predicted: Tensor
+    nodes: Tensor
+    tissue: Tensor
+    learned: Tensor
+    misfit: Tensor
+    remarks: tuple[str, ...]
+
+
+def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified:
+    """What a checkpoint makes of a scan.
+
+    Raises:
+        InputError: no such checkpoint, another kind of one, one not trained to its end, or of another radionuclide.
+    """
+    tensors, card = load_tensors(path)
+    _check(path, card, half_life)
+    conditions = conditions_of([scan])
+    bounds = {symbol: (pair[0], pair[1]) for symbol, pair in card["bounds"].items()}
+    common = Common(tissue_task("meta_hylad", conditions, bounds, residual=card["residual"]))
+    common.load_state_dict(dict(below("common.", tensors)))
+    curves = together([scan])
+    u = identify(common, curves, _IDENTIFY)
+    with torch.no_grad():
+        tissue, learned = _residual(common, u, curves)
+        predicted = common.predict(u, curves.amounts)[..., 1]
+        physics, errors = _quantities(common, u, curves, _late_plasma(conditions, curves))
+    back = 1.0 / scan.scale
+    return Identified(
+        physics,
+        errors,
+        back * predicted,
+        conditions.grid.nodes,
+        back * tissue,
+        back * learned,
+        back**2 * common.misfit(u, curves).detach() / curves.weights.count_nonzero(dim=1),
+        _beyond(card, scan, curves),
+    )
+
+
+def _check(path: Path, card: Mapping[str, Any], half_life: float) -> None:
+    if card.get("kind") != KIND:
+        raise InputError(f"{path}: a checkpoint, but not one of petkin train.")
+    if card["step"] < card["steps"]:
+        raise InputError(f"{path}: trained for {card['step']} of {card['steps']} steps; finish it with petkin train.")
+    if abs(half_life / card["half_life_min"] - 1.0) > _SAME:
+        raise InputError(
+            f"{path}: learned with a half-life of {card['half_life_min']:.4g} min, the scan's is {half_life:.4g} min: "
+            "train on scans of this tracer."
+        )
+
+
+def _beyond(card: Mapping[str, Any], scan: Measured, curves: Curves) -> tuple[str, ...]:
+    end, highest = float(scan.known.observation.frames.end[-1]), float(curves.values.max())
+    sentences = []
+    if end > (1.0 + _BEYOND) * card["end_min"]:
+        sentences.append(
+            f"The scan ends at {end:.4g} min, those learned from at {card['end_min']:.4g} min: extrapolated."
+        )
+    if highest > (1.0 + _BEYOND) * card["highest"]:
+        sentences.append(
+            f"The highest value is {highest / LEVEL:.3g} x the mean of the scan's curves, in those learned from "
+            f"{card['highest'] / LEVEL:.3g} x: f_NN is asked for what it has not seen."
+        )
+    return tuple(sentences)
+
+
+def _residual(common: Common, u: Tensor, curves: Curves) -> tuple[Tensor, Tensor]:
+    """C_T and f_NN at the nodes."""
+    flow, field, physics = common.task.flow, common.field(u), common.physics(u)
+    assert isinstance(flow, TissueFlow)
+    assert isinstance(field, HybridField)
+    linear, _, _ = flow.linear(physics, curves.amounts)
+    layers = tuple((matrix[..., None], bias[..., None]) for matrix, bias in field.layers)  # type: ignore[attr-defined]
+    states, slopes = flow.march(field.residual, layers, linear, physics, curves.amounts)
+    return states[0], slopes + physics[:, 1:2] * (states[0] - linear)
+
+
+def _quantities(common: Common, u: Tensor, curves: Curves, plasma: Tensor) -> tuple[Tensor, Tensor]:
+    """c_p and VT, and 100 |se / value| of them: Gauss-Newton curvature, by differences in u."""
+    count = u.shape[1]
+    moved = torch.stack([u + sign * _STEP * torch.eye(count)[i] for sign in (1.0, -1.0) for i in range(count)])
+    around = torch.cat([u[None], moved]).flatten(0, 1)
+    times = 1 + 2 * count
+    frames = common.predict(around, curves.amounts.repeat(times, 1))[..., 1].unflatten(0, (times, -1))
+    known = common.physics(around)
+    volume = _volume(common, around, plasma.repeat(times))
+    values = torch.cat([known, volume[:, None]], dim=1).unflatten(0, (times, -1))
+    slopes, ways = (
+        ((part[1 : 1 + count] - part[1 + count :]) / (2.0 * _STEP)).movedim(0, -1) for part in (frames, values)
+    )
+    curvature = slopes.mT @ (curves.weights[..., None] * slopes) / common.variance + common.precision
+    variance = (ways @ torch.linalg.inv(curvature) * ways).sum(dim=-1)
+    return values[0], 100.0 * variance.sqrt() / values[0].abs().clamp_min(1e-9)
+
+
+def _late_plasma(conditions: Conditions, curves: Curves) -> Tensor:
+    """Mean C_P over the later half of the scan, at the common level (n,)."""
+    late = conditions.grid.nodes >= 0.5 * conditions.grid.nodes[-1]
+    return (curves.amounts @ conditions.responses.plasma)[:, late].mean(dim=-1)
+
+
+def _volume(common: Common, u: Tensor, plasma: Tensor) -> Tensor:
+    """C_T / C_P after hours of constant plasma (n,); NaN where it still moves by a percent in the last fifth."""
+    field, physics = common.field(u), common.physics(u)
+    assert isinstance(field, HybridField)
+    state, now, path = u.new_zeros(len(u), field.residual.outputs), u.new_zeros(()), []
+    for _ in range(round(_HOURS * 60.0 / _EULER)):
+        state = state + _EULER * field(now, state, plasma, physics)
+        path.append(state[:, 0])
+    end, before = path[-1], path[-len(path) // 5]
+    return torch.where((end - before).abs() < 0.01 * end.abs(), end / plasma, torch.nan)

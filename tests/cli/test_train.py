@@ -1,0 +1,51 @@
+"""`petkin train`, and `petkin fit --model hybrid` with what it wrote."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from petkin.cli.app import app
+from petkin.errors import InputError
+from petkin.fitting import Choices
+from petkin.methods import check_choices, find_method
+
+
+def train(*arguments: object):
+    return CliRunner().invoke(app, ["train", *map(str, arguments)])
+
+
+def test_a_population_is_learned_and_kept(tmp_path):
+    path = tmp_path / "tracer.safetensors"
+    done = train(path, "--subjects", 3, "--frames", "12x60", "--steps", 5)
+    assert done.exit_code == 0, done.output
+    assert path.is_file()
+    assert path.with_suffix(".csv").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--range", "Q=1:2"), "choose from K1"),
+        (("--residual", "C_X"), "no residual of 'C_X'"),
+        (("--frames", "often"), "is no schedule"),
+        (("--isotope", "X99"), "X99"),
+        (("--from", "/nowhere"), "no such"),
+    ],
+)
+def test_bad_input_is_one_line(tmp_path: Path, arguments, message):
+    done = train(tmp_path / "a.safetensors", *arguments)
+    assert isinstance(done.exception, InputError)
+    assert message in str(done.exception)
+    assert "\n" not in str(done.exception)
+
+
+def test_a_learned_model_and_its_checkpoint_go_together(tmp_path):
+    for methods, choices in (
+        ((find_method("hybrid"),), Choices()),
+        ((find_method("1TCM"),), Choices(checkpoint=tmp_path / "a.safetensors")),
+    ):
+        with pytest.raises(InputError, match="go together"):
+            check_choices(methods, choices)

@@ -34,7 +34,7 @@ from petkin.study.whole_brain import frame_weights
 Array = NDArray[np.float64]
 
 #: Mean of a scan's curves after scaling, the scale of f_NN; most regions of a scan that are used.
-_LEVEL, _REGIONS = 10.0, 10
+_LEVEL, _REGIONS = 10.0, 6
 #: c_p of real tissue.
 _BOUNDS = {"K1": (0.0, 1.0), "k2": (0.0, 1.0), "k3": (0.0, 0.5), "k4": (0.0, 0.5), "vB": (0.0, 0.2)}
 _HIGHEST = 2.0

@@ -199,9 +199,8 @@ def _fitted(job: PetJob, preset: PetPreset) -> list[dict[str, object]]:
     population = replace(PAPER, noise=job.noise)
     truth, told = draw(population, preset.subjects[1], preset.scans[0], _SEED_TEST)
     label = job.model.removeprefix("fit_")
-    ways = (("itself", 0), ("others", min(_CONTEXT, told.series - 1)))
-    return [
-        {"split": "unseen", "noise_test": job.noise, "test": test}
-        | fit_errors(label, population, truth, told, preset.fitted, k)
-        for test, k in ways
-    ]
+    rows: list[dict[str, object]] = []
+    for test, k in (("itself", 0), ("others", min(_CONTEXT, told.series - 1))):
+        errors = fit_errors(label, population, truth, told, preset.fitted, k)
+        rows.append({"split": "unseen", "noise_test": job.noise, "test": test, **errors})
+    return rows

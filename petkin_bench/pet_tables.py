@@ -24,9 +24,9 @@ def compare_pet(results: Path, preset: str) -> pd.DataFrame:
     rows[list(_METRICS)] = rows[list(_METRICS)].astype(float)
     if rows.empty:
         return rows
-    grouped = rows.groupby(_HEADS, sort=False)
-    found = grouped[list(_METRICS)].mean().join(grouped[list(_METRICS)].std().add_suffix("_spread"))
-    found = found.join(grouped.agg(seeds=("seed", "nunique"), cpu_s=("cpu_s", "median"))).reset_index()
+    columns = {m: (m, "mean") for m in _METRICS} | {f"{m}_spread": (m, "std") for m in _METRICS}
+    columns |= {"seeds": ("seed", "nunique"), "cpu_s": ("cpu_s", "median")}
+    found = pd.DataFrame(rows.groupby(_HEADS, sort=False).agg(**columns)).reset_index()
     published = pd.read_csv(PUBLISHED).query("table == 'pet'").pivot(index="method", columns="metric", values="mean")
     theirs = published[list(_METRICS)].add_suffix("_published").reset_index().rename(columns={"method": "model"})
     found = found.merge(theirs, on="model", how="left")
@@ -38,9 +38,9 @@ def compare_pet(results: Path, preset: str) -> pd.DataFrame:
 def closed_share(found: pd.DataFrame, sees: str) -> float:
     """Share of the gap between purely and full physics that Meta-HyLaD closes: state MSE, unseen subjects, no noise."""
     rows = found.query("split == 'unseen' and test == 'others' and noise_test == 0 and noise_train == 0")
-    error = rows.set_index(["model", "sees"])["mse_z"]
+    error = {(row["model"], row["sees"]): float(row["mse_z"]) for row in rows.to_dict("records")}
     none, full = error["purely_physics", ""], error["full_physics", ""]
-    return float((none - error["meta_hylad", sees]) / (none - full))
+    return (none - error["meta_hylad", sees]) / (none - full)
 
 
 def print_pet(results: Path, preset: str) -> None:

@@ -106,5 +106,5 @@ def _columns(known: Known, nodes: Tensor) -> Callable[[Tensor], Tensor]:
 
 def _with_slopes(columns: Callable[[Tensor], Tensor], roots: Tensor) -> Float[Tensor, "n 2 c"]:
     """Values at a = r^2 and their derivatives in r."""
-    values, slopes = torch.func.jvp(lambda r: columns(r * r), (roots,), (torch.ones_like(roots),))
-    return torch.stack([values, slopes], dim=1)
+    found = torch.func.jvp(lambda r: columns(r * r), (roots,), (torch.ones_like(roots),))
+    return torch.stack(found[:2], dim=1)

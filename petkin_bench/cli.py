@@ -287,6 +287,37 @@ def forecast(
     typer.echo(f"Appended to {append_rows('forecast', kept, results or RESULTS)}")
 
 
+@app.command()
+def withheld(
+    cases: Annotated[int, typer.Option(help="Scans; those with a verdict are not judged again.", min=1)] = 150,
+    seed: Annotated[int, typer.Option(help="Of the scans; splits never share one.", min=0)] = 0,
+    split: Annotated[str, typer.Option(help="scored, or training for calibration.")] = "scored",
+    regions: Annotated[int, typer.Option(help="A scan.", min=2)] = 5,
+    draws: Annotated[int, typer.Option(help="Noise draws of each diagnosis.", min=20)] = 400,
+    workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
+    work: Annotated[Path, typer.Option(help="Folder of verdicts and answers.")] = Path("bench-withheld"),
+    results: Annotated[
+        Path | None, typer.Option(help="Folder for the metrics, as withheld.csv; default: none.")
+    ] = None,
+) -> None:
+    """Blind check of `petkin diagnose`: effects withheld from the simulator, made by a generator of its own.
+
+    Verdicts are appended as they come, each with the digest of its answer; answers lie in a file of their own. They
+    are scored when all verdicts are there.
+    """
+    from petkin_bench.provenance import append_rows
+    from petkin_bench.withheld.run import Plan, run
+    from petkin_bench.withheld.score import joined, metrics, text_of
+
+    plan = Plan(split, seed, cases, regions, draws)
+    found = metrics(joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True))))
+    typer.echo(text_of(found))
+    if results is not None:
+        settings = {"split": split, "seed": seed, "scans": cases, "regions": regions, "draws": draws}
+        rows = [settings | {"metric": m.name, "value": m.value, "cases": m.cases, "bar": m.bar} for m in found]
+        typer.echo(f"Appended to {append_rows('withheld', rows, results)}")
+
+
 def main() -> None:
     """Run the command line; a `PetkinError` becomes one line on standard error and exit status 2."""
     try:

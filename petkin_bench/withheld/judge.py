@@ -1,0 +1,96 @@
+"""What the product says of a scan: the one file here that uses it."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from petkin.diagnosis import Diagnosis, diagnose
+from petkin.diagnosis.refit import State, refit
+from petkin.dynamics import PiecewiseLinear
+from petkin.effects import EFFECTS, effect_named
+from petkin.imaging import FrameObservation, FrameSchedule
+from petkin.inputs import InputFunction
+from petkin.study.diagnose import ALWAYS
+from petkin.study.diagnosis.answer import onset_frame
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
+from petkin_bench.withheld.cases import Scan
+
+Array = NDArray[np.float64]
+
+
+def simulator_of(scan: Scan) -> RegionalSimulator:
+    """The simulator that the scan names, with the blood record as it stands."""
+    blood, frames = scan.blood, scan.frames
+    t = torch.from_numpy(blood.t)
+
+    def lines(values: Array) -> PiecewiseLinear:
+        return PiecewiseLinear(t, torch.from_numpy(np.ascontiguousarray(values)))
+
+    arterial = InputFunction(
+        lines(blood.total * blood.parent),
+        lines(blood.whole),
+        total_plasma=lines(blood.total),
+        parent_fraction=lines(blood.parent),
+    )
+    nodes = reading_nodes(arterial, float(frames.end[-1]))
+    clock = FrameObservation(FrameSchedule(frames.start, frames.end), frames.decay)
+    included = tuple(effect_named(name) for name in scan.includes)
+    label = {"1tcm": "1TCM", "2tcm": "2TCM"}[scan.model]
+    return RegionalSimulator(scan.regions, label, read_at(arterial, nodes), clock, included, nodes)
+
+
+def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, object]:
+    """One row: the verdict and, beside it, the share of the gap in the noise-free values that its leader closes.
+
+    Args:
+        scan: what the product sees.
+        clean: values without noise (R, K); looked at when the verdict is final.
+        seed, draws: of the product's own noise draws.
+    """
+    started = time.process_time()
+    simulator = simulator_of(scan)
+    found = diagnose(
+        simulator,
+        scan.values,
+        hypotheses(EFFECTS, simulator, without=frozenset()),
+        always=ALWAYS,
+        seed=seed,
+        draws=draws,
+    )
+    seconds = time.process_time() - started
+    leader = found.causes[0] if found.causes else None
+    closed = None if leader is None else leader.closure
+    frame = onset_frame(found, simulator)
+    return {
+        "verdict": found.kind,
+        "p_value": found.p_value,
+        "leader": "" if leader is None else leader.label,
+        "leader_probability": 0.0 if leader is None else leader.probability,
+        "set": ";".join(found.chosen),
+        "set_probability": found.set_probability,
+        "unknown_probability": found.unknown,
+        "stage": next(iter(found.stages), ""),
+        "onset_frame": -1 if frame is None else frame,
+        "regions": ";".join(str(r) for r in np.flatnonzero(found.regions.q_values <= 0.05)),
+        "evidence": ";".join(f"{c.label}:{c.log_evidence:.3f}" for c in found.causes),
+        "unknown_evidence": round(found.unknown_evidence, 3),
+        "closure": "" if closed is None else closed.value,
+        "closure_low": "" if closed is None else closed.low,
+        "closure_high": "" if closed is None else closed.high,
+        "closed": "" if leader is None else _closed(found, simulator, clean),
+        "seconds": round(seconds, 3),
+    }
+
+
+def _closed(found: Diagnosis, simulator: RegionalSimulator, clean: Array) -> float:
+    """1 - what the leader leaves of the gap in noise-free values, both after a refit."""
+    fit = found.causes[0].fit
+    if fit is None:
+        return 0.0
+    base = refit(simulator, clean, found.noise, found.base.state)
+    with_it = refit(simulator, clean, found.noise, State(fit.state.own, fit.state.shared, fit.state.terms))
+    return float(np.clip(1.0 - with_it.chi2 / max(base.chi2, 1e-12), 0.0, 1.0))

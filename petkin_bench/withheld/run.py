@@ -1,0 +1,103 @@
+"""Runs: verdicts of many cases, appended as they come; answers in a file of their own, sealed by a digest."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from petkin.errors import InputError
+from petkin_bench.withheld.cases import SPLITS, Answer, case
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which cases, and what the product is asked."""
+
+    split: str
+    seed: int
+    cases: int
+    regions: int
+    draws: int
+
+    def __post_init__(self) -> None:
+        if self.split not in SPLITS:
+            raise InputError(f"--split {self.split!r}: give {' or '.join(SPLITS)}.")
+
+    @property
+    def stem(self) -> str:
+        return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}"
+
+
+def run(
+    plan: Plan, folder: Path, *, workers: int = 1, told: Callable[[int], None] = lambda _: None
+) -> tuple[Path, Path]:
+    """Judge all cases that have no row yet.
+
+    Returns:
+        the files of verdicts and of answers; a verdict holds the digest of its answer.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    verdicts, answers = folder / f"{plan.stem}_verdicts.csv", folder / f"{plan.stem}_answers.csv"
+    left = [i for i in range(plan.cases) if i not in _done(verdicts)]
+    for done, (answer, row) in enumerate(_judged(plan, left, workers), 1):
+        _append(answers, answer)
+        _append(verdicts, row)
+        told(done)
+    return verdicts, answers
+
+
+def _judged(plan: Plan, indices: list[int], workers: int) -> Iterator[tuple[dict[str, object], dict[str, object]]]:
+    if workers == 1:
+        yield from (judged(plan, i) for i in indices)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        yield from pool.map(judged, [plan] * len(indices), indices)
+
+
+def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
+    """Answer and verdict of one case as rows."""
+    from petkin_bench.withheld.judge import verdict
+
+    scan, truth = case(plan.split, plan.seed, index, plan.regions)
+    answer = {"index": index} | row_of(truth)
+    digest = hashlib.sha256(json.dumps(answer, sort_keys=True).encode()).hexdigest()
+    found = verdict(scan, truth.clean, seed=index, draws=plan.draws)
+    return answer, {"index": index, "answer_sha256": digest} | found
+
+
+def row_of(answer: Answer) -> dict[str, object]:
+    """An answer as a row, without its curves; of classes, "a|b;c" is a or b, and c."""
+    return {
+        "kind": answer.kind,
+        "noise": answer.noise,
+        "percent": answer.percent,
+        "names": ";".join(answer.names),
+        "classes": ";".join("|".join(c) for c in answer.classes),
+        "stages": ";".join(answer.stages),
+        "detectability": round(answer.detectability, 4),
+        "perpendicular": round(answer.perpendicular, 4),
+        "ceiling": round(answer.ceiling, 4),
+        "frame": answer.frame,
+        "region": answer.region,
+    }
+
+
+def _done(path: Path) -> set[int]:
+    if not path.is_file():
+        return set()
+    with path.open(newline="") as stream:
+        return {int(row["index"]) for row in csv.DictReader(stream)}
+
+
+def _append(path: Path, row: dict[str, object]) -> None:
+    new = not path.is_file()
+    with path.open("a", newline="") as stream:
+        writer = csv.DictWriter(stream, list(row), lineterminator="\n")
+        if new:
+            writer.writeheader()
+        writer.writerow(row)

@@ -1,0 +1,241 @@
+"""From verdicts and answers to one row a metric, each beside its bar.
+
+A cause is right when it is in the class of what was withheld: itself, or what looks the same after the refit.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin_bench.withheld.cases import BINS
+from petkin_bench.withheld.noise import KINDS
+
+Array = NDArray[np.float64]
+
+#: Strength from which most bars hold, strength beyond the catalogue from which a gap must be called unknown, and a
+#: probability that is sure of a name.
+_STRONG, _BEYOND, _SURE = 6.0, 5.0, 0.9
+_CALIBRATION_BINS = 5
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A share or a size with the number of cases behind it, and the bar: at least (`>=`), at most (`<=`) or none."""
+
+    name: str
+    value: float
+    cases: int
+    bar: float | None = None
+    side: str = ">="
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the bar is reached; None without one, or without cases."""
+        if self.bar is None or not self.cases:
+            return None
+        return self.value >= self.bar if self.side == ">=" else self.value <= self.bar
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A case with its verdict: the columns of both files."""
+
+    cells: dict[str, str]
+
+    def number(self, name: str) -> float:
+        return float(self.cells[name])
+
+    def words(self, name: str) -> list[str]:
+        """Entries of a list."""
+        return [word for word in self.cells[name].split(";") if word]
+
+    @property
+    def kind(self) -> str:
+        return self.cells["kind"]
+
+    @property
+    def claimed(self) -> bool:
+        return self.cells["verdict"] != "none"
+
+    @property
+    def strength(self) -> float:
+        return self.number("detectability")
+
+    @property
+    def classes(self) -> list[list[str]]:
+        return [text.split("|") for text in self.words("classes")]
+
+    def hits(self, label: str) -> int:
+        """How many of the classes a label names."""
+        named = label.split("+")
+        return sum(any(n in c for n in named) for c in self.classes)
+
+    def is_right(self, label: str) -> bool:
+        """Whether it names every class and nothing else."""
+        return self.hits(label) == len(self.classes) == len(label.split("+"))
+
+    @cached_property
+    def right(self) -> bool:
+        return self.claimed and self.is_right(self.cells["leader"])
+
+    @cached_property
+    def covered(self) -> bool:
+        return any(self.is_right(label) for label in self.words("set"))
+
+
+def joined(verdicts: Path, answers: Path) -> list[Judged]:
+    """Cases that have both."""
+    with verdicts.open(newline="") as first, answers.open(newline="") as second:
+        truths = {row["index"]: row for row in csv.DictReader(second)}
+        return [Judged(row | truths[row["index"]]) for row in csv.DictReader(first) if row["index"] in truths]
+
+
+def metrics(cases: Sequence[Judged]) -> list[Metric]:
+    """Every metric of a run."""
+    single = [c for c in cases if c.kind in ("known", "other form")]
+    strong = [c for c in single if c.strength >= _STRONG]
+    seconds = [c.number("seconds") for c in cases]
+    return [
+        *_alarms([c for c in cases if c.kind == "none"]),
+        *_by_strength(single),
+        *_sets(strong),
+        *_places(strong),
+        *_pairs([c for c in cases if c.kind == "pair"]),
+        *_unknown([c for c in cases if c.kind == "unknown" and c.number("perpendicular") >= _BEYOND], strong),
+        *_calibration(cases, strong),
+        *_closure([c for c in strong if c.claimed and c.cells["closure"]]),
+        Metric("CPU s a scan, median", float(np.median(seconds)) if seconds else float("nan"), len(seconds)),
+    ]
+
+
+def _share(name: str, hits: Iterable[bool], bar: float | None = None, side: str = ">=") -> Metric:
+    found = list(hits)
+    return Metric(name, float(np.mean(found)) if found else float("nan"), len(found), bar, side)
+
+
+def _alarms(nulls: Sequence[Judged]) -> list[Metric]:
+    each = [
+        _share(f"false alarms, {kind}", (c.claimed for c in nulls if c.cells["noise"] == kind), 0.05, "<=")
+        for kind in KINDS
+    ]
+    return [*each, _share("false alarms, all", (c.claimed for c in nulls), 0.05, "<=")]
+
+
+def _by_strength(single: Sequence[Judged]) -> list[Metric]:
+    edges = [0.9 * low for low, _ in BINS] + [BINS[-1][1], np.inf]
+    names = [f"d' {low:g}-{high:g}" for low, high in BINS] + [f"d' > {BINS[-1][1]:g}"]
+    found = []
+    for name, low, above in zip(names, edges, edges[1:]):
+        part = [c for c in single if low <= c.strength < above]
+        ceiling = float(np.mean([c.number("ceiling") for c in part])) if part else float("nan")
+        allowed = 0.15 if low < BINS[0][1] else 0.05
+        found += [
+            _share(f"gap claimed, {name}", (c.claimed for c in part)),
+            Metric(f"matched filter, {name}", ceiling, len(part)),
+            _share(f"class first, {name}", (c.right for c in part), ceiling - allowed),
+        ]
+    return found
+
+
+def _sets(strong: Sequence[Judged]) -> list[Metric]:
+    told = [c for c in strong if c.words("set")]
+    sizes = [len(c.words("set")) for c in told]
+    return [
+        _share("set covers, d' >= 6, at least", (c.covered for c in strong), 0.87),
+        _share("set covers, d' >= 6, at most", (c.covered for c in strong), 0.93, "<="),
+        Metric("set size, median", float(np.median(sizes)) if sizes else float("nan"), len(sizes), 2.0, "<="),
+        _share("set size <= class + 1", (n <= len(c.classes[0]) + 1 for n, c in zip(sizes, told)), 0.9),
+    ]
+
+
+def _places(strong: Sequence[Judged]) -> list[Metric]:
+    timed = [c for c in strong if c.number("frame") >= 0 and c.right]
+    local = [c for c in strong if c.number("region") >= 0 and c.claimed]
+    inside = [c.cells["region"] in c.words("regions") for c in local]
+    told = sum(len(c.words("regions")) for c in local)
+    return [
+        _share("stage first, d' >= 6", (c.cells["stage"] == c.cells["stages"] for c in strong), 0.85),
+        _share("onset within a frame", (abs(c.number("onset_frame") - c.number("frame")) <= 1 for c in timed), 0.9),
+        Metric("regions: precision", sum(inside) / max(told, 1), told, 0.9),
+        _share("regions: recall", inside, 0.9),
+    ]
+
+
+def _pairs(pairs: Sequence[Judged]) -> list[Metric]:
+    named = [c.hits(c.cells["leader"]) for c in pairs]
+    return [
+        _share("pairs: both named", (n == 2 for n in named), 0.7),
+        _share("pairs: one named", (n >= 1 for n in named), 0.95),
+        _share("pairs: both in the set", (c.covered for c in pairs)),
+    ]
+
+
+def _unknown(alien: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
+    of_alien, of_known = (
+        np.array([c.number("unknown_probability") if c.claimed else -1.0 for c in cases]) for cases in (alien, strong)
+    )
+    limit = max(float(np.quantile(of_known, 0.9)), 0.0) if len(of_known) else 1.0
+    sure = (c.number("leader_probability") > _SURE and c.cells["verdict"] in ("named", "ambiguous") for c in alien)
+    return [
+        _share("unknown: gap claimed", (c.claimed for c in alien)),
+        _share("unknown: recall", (c.cells["verdict"] == "unknown" for c in alien), 0.8),
+        _share("unknown: recall at 0.10 of known rejected", (p > limit for p in of_alien), 0.56),
+        _share("unknown: known rejected", (c.cells["verdict"] == "unknown" for c in strong), 0.1, "<="),
+        Metric("unknown: AUROC", auroc(of_alien, of_known), len(alien), 0.9),
+        _share("unknown: named with p > 0.9", sure, 0.05, "<="),
+    ]
+
+
+def auroc(positive: Array, negative: Array) -> float:
+    """Probability that a positive scores above a negative, ties half."""
+    if not len(positive) or not len(negative):
+        return float("nan")
+    above = positive[:, None] - negative[None]
+    return float((above > 0).mean() + 0.5 * (above == 0).mean())
+
+
+def _calibration(cases: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
+    told = [c for c in cases if c.words("set")]
+    said, true = np.array([c.number("set_probability") for c in told]), np.array([float(c.covered) for c in told])
+    first, hit = np.array([c.number("leader_probability") for c in strong]), np.array([float(c.right) for c in strong])
+    skill = 1.0 - float(np.mean((first - hit) ** 2)) / max(float(np.var(hit)), 1e-9) if strong else float("nan")
+    return [
+        Metric("calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<="),
+        Metric("Brier skill of the leader over its own rate", skill, len(strong)),
+    ]
+
+
+def calibration_error(said: Array, true: Array) -> float:
+    """Mean over bins of equal counts of |said - true|, weighed by their counts."""
+    if not len(said):
+        return float("nan")
+    parts = np.array_split(np.argsort(said, kind="stable"), min(_CALIBRATION_BINS, len(said)))
+    return float(sum(len(p) * abs(said[p].mean() - true[p].mean()) for p in parts) / len(said))
+
+
+def _closure(told: Sequence[Judged]) -> list[Metric]:
+    near = [abs(c.number("closure") - c.number("closed")) <= 0.1 for c in told]
+    held = [c.number("closure_low") - 1e-9 <= c.number("closed") <= c.number("closure_high") + 1e-9 for c in told]
+    return [
+        _share("closure within 0.10", near, 0.9),
+        _share("closure interval covers, at least", held, 0.85),
+        _share("closure interval covers, at most", held, 0.95, "<="),
+        _share("right cause closes 0.9 of the gap", (c.number("closed") >= 0.9 for c in told if c.right), 0.9),
+    ]
+
+
+def text_of(found: Sequence[Metric]) -> str:
+    """A line a metric."""
+    lines = [f"{'metric':44}{'value':>8}{'cases':>7}{'bar':>9}  met"]
+    for m in found:
+        bar = "" if m.bar is None else f"{m.side} {m.bar:.2f}"
+        met = {None: "", True: "yes", False: "no"}[m.met]
+        lines.append(f"{m.name:44}{m.value:8.3f}{m.cases:7d}{bar:>9}  {met}")
+    return "\n".join(lines)

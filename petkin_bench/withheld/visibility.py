@@ -1,0 +1,143 @@
+"""How visible a cause is once the simulator is refitted, by a least-squares fit of the generator's own.
+
+d'^2 = min_theta |f_true - f_base(theta)|^2 in units of the noise,   c = |g' P h| / (|P g| |P h|)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin_bench.withheld.noise import NoiseLaw
+from petkin_bench.withheld.observe import Change, observe
+from petkin_bench.withheld.subject import Subject
+
+Array = NDArray[np.float64]
+
+_STEPS, _QUOTIENT = 12, 1e-4
+#: What keeps directions that no data hold from running away, 1 / sd^2 of logarithms.
+_RIDGE = 1e-4
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """What is refitted: two tissues or one, blood volume and delay where they are in it."""
+
+    second_tissue: bool = True
+    blood_volume: bool = True
+    delay: bool = True
+
+    @property
+    def _rates(self) -> int:
+        return 4 if self.second_tissue else 2
+
+    def start(self, subject: Subject) -> Subject:
+        """The subject as this simulator would have it."""
+        rates = subject.rates.copy()
+        if not self.second_tissue:
+            rates[:, 1] /= 1.0 + rates[:, 2] / rates[:, 3]
+            rates[:, 2] = 0.0
+        vB = subject.vB if self.blood_volume else 0.0 * subject.vB
+        return replace(subject, rates=rates, vB=vB, delay=subject.delay if self.delay else 0.0)
+
+    def own(self) -> int:
+        return self._rates + self.blood_volume
+
+    def moved(self, subject: Subject, step: Array) -> Subject:
+        """Logarithms of rates and vB moved by (R, own), and the delay by the last (min)."""
+        regions, own = len(subject.rates), self.own()
+        by = np.clip(step[: regions * own].reshape(regions, own), -1.0, 1.0)
+        rates = subject.rates.copy()
+        rates[:, : self._rates] *= np.exp(by[:, : self._rates])
+        vB = np.minimum(subject.vB * np.exp(by[:, -1]), 0.8) if self.blood_volume else subject.vB
+        delay = subject.delay + (float(np.clip(step[-1], -0.2, 0.2)) if self.delay else 0.0)
+        return replace(subject, rates=rates, vB=vB, delay=delay)
+
+    def jacobian(self, subject: Subject, law: NoiseLaw, changes: tuple[Change, ...] = ()) -> tuple[Array, Array]:
+        """Whitened values, and their derivatives by every coordinate; regions are moved together."""
+        here = observe(subject, changes)
+        regions, own = len(subject.rates), self.own()
+        columns = np.zeros((regions * own + self.delay, *here.shape))
+        for p in range(own):
+            step = np.zeros((regions, own))
+            step[:, p] = _QUOTIENT
+            change = (observe(self.moved(subject, np.append(step.ravel(), 0.0)), changes) - here) / _QUOTIENT
+            for r in range(regions):
+                columns[r * own + p, r] = change[r]
+        if self.delay:
+            step = np.zeros(regions * own + 1)
+            step[-1] = _QUOTIENT
+            columns[-1] = (observe(self.moved(subject, step), changes) - here) / _QUOTIENT
+        return law.whiten(here), law.whiten(columns).T
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Values (R, K) as the simulator is refitted to them.
+
+    Args:
+        left: whitened, what the refit leaves (n,).
+        axes: orthonormal columns of what it can do (n, p).
+        fitted: the simulator's subject.
+    """
+
+    left: Array
+    axes: Array
+    fitted: Subject
+
+    @property
+    def detectability(self) -> float:
+        return float(np.linalg.norm(self.left))
+
+    def project(self, columns: Array) -> Array:
+        """What a refit leaves of whitened columns (n, m)."""
+        return columns - self.axes @ (self.axes.T @ columns)
+
+
+def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw) -> Seen:
+    """The refit, from the subject's own kinetics, by damped Gauss-Newton steps."""
+    target, here = law.whiten(values), simulator.start(subject)
+    damping, fitted, jacobian = 1e-4, *simulator.jacobian(here, law)
+    for _ in range(_STEPS):
+        residual = target - fitted
+        normal = jacobian.T @ jacobian
+        scale = damping * np.diag(normal) + _RIDGE
+        step = np.asarray(np.linalg.solve(normal + np.diag(scale), jacobian.T @ residual), np.float64)
+        moved = simulator.moved(here, step)
+        after = target - law.whiten(observe(moved))
+        if after @ after < residual @ residual:
+            gained = float(residual @ residual - after @ after)
+            here, damping = moved, damping / 10
+            fitted, jacobian = simulator.jacobian(here, law)
+            if gained < 1e-3:
+                break
+        else:
+            damping *= 30
+    size = np.linalg.norm(jacobian, axis=0)
+    left, weight, _ = np.linalg.svd(jacobian / np.maximum(size, 1e-300), full_matrices=False)
+    axes = left[:, weight > 1e-7 * weight[0]]
+    residual = target - fitted
+    return Seen(residual - axes @ (axes.T @ residual), axes, here)
+
+
+def cosines(columns: Array) -> Array:
+    """|c| between projected columns (n, m)."""
+    unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.abs(unit.T @ unit)
+
+
+def perpendicular(left: Array, others: Sequence[Array]) -> float:
+    """Length of what no one and no two of the other columns explain of it."""
+    if not others:
+        return float(np.linalg.norm(left))
+    unit = np.stack([o / max(float(np.linalg.norm(o)), 1e-300) for o in others], axis=1)
+    along = unit.T @ left
+    gram = unit.T @ unit
+    i, j = np.triu_indices(len(others), 1)
+    c = np.clip(gram[i, j], -0.9999, 0.9999)
+    two = (along[i] ** 2 + along[j] ** 2 - 2.0 * c * along[i] * along[j]) / (1.0 - c**2)
+    best = max(float((along**2).max()), float(two.max(initial=0.0)))
+    return float(np.sqrt(max(left @ left - best, 0.0)))

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis, diagnose
-from petkin.diagnosis.diagnose import base_fit
 from petkin.diagnosis.noise import Noise
+from petkin.diagnosis.nominal import base_fit
 from petkin.effects import EFFECTS, effect_named
 from petkin.effects.clock import grown
 from petkin.errors import InputError

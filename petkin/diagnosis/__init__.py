@@ -2,9 +2,10 @@
 
 from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
 from petkin.diagnosis.design import Visible, indistinct
-from petkin.diagnosis.diagnose import Cause, Diagnosis, diagnose, foresee_design
+from petkin.diagnosis.diagnose import diagnose, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
 from petkin.diagnosis.refit import State
+from petkin.diagnosis.verdict import Cause, Diagnosis
 
 __all__ = [
     "Cause",

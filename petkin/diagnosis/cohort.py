@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from petkin.diagnosis.diagnose import CLAIM, Diagnosis
+from petkin.diagnosis.diagnose import CLAIM
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.sets import probabilities, smallest_set
+from petkin.diagnosis.verdict import Diagnosis
 
 Array = NDArray[np.float64]
 

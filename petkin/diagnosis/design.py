@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis.effect import Hypothesis, Simulator
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
-from petkin.diagnosis.which import Template
+from petkin.diagnosis.scan import Template
 
 Array = NDArray[np.float64]
 

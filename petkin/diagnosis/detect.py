@@ -11,7 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis.noise import common_share, inverse_root, outlying, pooled, second_differences, without_jumps
+from petkin.diagnosis.noise import (
+    Noise,
+    common_share,
+    inverse_root,
+    outlying,
+    pooled,
+    second_differences,
+    without_jumps,
+)
 
 Array = NDArray[np.float64]
 
@@ -26,33 +34,31 @@ def tail_freedom(residuals: Array) -> float:
     return 4.0 + 6.0 / excess if excess > 0 else np.inf
 
 
-def noise_draws(
-    rng: np.random.Generator, count: int, shape: tuple[int, int], share: float, freedom: float, bases: list[Array]
-) -> Array:
+def noise_draws(rng: np.random.Generator, count: int, noise: Noise, freedom: float, bases: list[Array]) -> Array:
     """Whitened draws (count, C K) of noise, their size and share estimated from themselves.
 
     Args:
         rng: randomness.
         count: draws.
-        shape: channels, samples.
-        share: rho.
+        noise: whose sizes and share they have.
         freedom: of the tails.
         bases: what the flexible fit took from every channel (K, active).
     """
-    alone = _tailed(rng, (count, *shape), freedom)
-    common = _tailed(rng, (count, 1, shape[1]), freedom)
+    (channels, samples), share = noise.spread.shape, noise.share
+    alone = _tailed(rng, (count, channels, samples), freedom)
+    common = _tailed(rng, (count, 1, samples), freedom)
     draws = np.sqrt(1.0 - share) * alone + np.sqrt(share) * common
     draws = draws / outlying(draws)
     left = np.stack([draws[:, c] - (draws[:, c] @ axes) @ axes.T for c, axes in enumerate(bases)], axis=1)
     left = without_jumps(left)
-    degrees = np.array([max(shape[1] - axes.shape[1], 1) for axes in bases], float)
+    degrees = np.array([max(samples - axes.shape[1], 1) for axes in bases], float)
     by_fit = np.sqrt((left**2).sum(axis=-1) / degrees)
     bends = second_differences(draws)
     by_bends = np.sqrt((bends**2).mean(axis=-1))
     smaller = (by_fit**2).sum(axis=-1) <= (by_bends**2).sum(axis=-1)
-    size = pooled(np.where(smaller[:, None], by_fit, by_bends), degrees)
+    size = pooled(np.where(smaller[:, None], by_fit, by_bends) * noise.size, degrees) / noise.size
     shares = np.where(smaller, common_share(left / size[..., None]), common_share(bends / size[..., None]))
-    mixing = inverse_root(shape[0], shares)
+    mixing = inverse_root(channels, shares)
     return np.einsum("bcd,bdk->bck", mixing, draws / size[..., None]).reshape(count, -1)
 
 

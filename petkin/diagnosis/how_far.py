@@ -1,4 +1,4 @@
-"""How far the gap shrinks: closure by held-out deviance, cross-fitted over blocks of samples.
+"""How far the gap shrinks: closure by held-out deviance, cross-fitted over blocks of samples and channels.
 
     closure = (D_without - D_with) / (D_without - D_floor),   D = sum_b |(I - H_bb)^{-1} r_b|^2,
     D_floor = sum_b tr (I - H_bb)^{-1}
@@ -39,21 +39,23 @@ class Interval:
 def held_out(fit: Fit, shape: tuple[int, int]) -> Array:
     """Held-out deviance above its floor, by block and channel (B, C).
 
+    What is left out at once are other blocks of samples in every channel, so that the rest still tells what channels
+    share from their neighbours, and what is a channel's own from its other blocks.
+
     Args:
         fit: the fit; its whitened rows run over channels, then samples.
         shape: channels, samples.
     """
     lever = Projection.of_fit(fit).axes[: fit.residual.size]
-    rows = np.arange(fit.residual.size).reshape(shape)
-    found = []
-    for samples in np.array_split(np.arange(shape[1]), _BLOCKS):
-        block = rows[:, samples].ravel()
-        size, axes = np.linalg.eigh(np.eye(block.size) - lever[block] @ lever[block].T)
+    samples = np.arange(shape[1]) * _BLOCKS // shape[1]
+    fold = ((samples + np.arange(shape[0])[:, None]) % _BLOCKS).ravel()
+    excess = np.empty(fit.residual.size)
+    for rows in (np.flatnonzero(fold == f) for f in range(_BLOCKS)):
+        size, axes = np.linalg.eigh(np.eye(rows.size) - lever[rows] @ lever[rows].T)
         size = np.maximum(size, _LEAST)
-        residual = axes @ ((axes.T @ fit.residual[block]) / size)
-        cost = (axes**2 / size).sum(axis=1)
-        found.append((residual**2 - cost).reshape(shape[0], -1).sum(axis=1))
-    return np.stack(found)
+        excess[rows] = (axes @ ((axes.T @ fit.residual[rows]) / size)) ** 2 - (axes**2 / size).sum(axis=1)
+    cells = excess.reshape(shape)
+    return np.stack([cells[:, samples == block].sum(axis=1) for block in range(_BLOCKS)])
 
 
 def closure(without: Fit, with_it: Fit, shape: tuple[int, int], rng: np.random.Generator) -> Interval:

@@ -20,6 +20,8 @@ from petkin.diagnosis.noise import Noise
 #: Iterations, the fall of the objective at which they end, and how many more while it falls by this share.
 _MOST, _SETTLED = 12, 0.01
 _LONGEST, _FALLING = 40, 0.02
+#: Damping at which no step is left to take.
+_STUCK = 1e6
 #: Difference quotients take this share of an amplitude's range, and this much of the log of a shape.
 _AMPLITUDE_STEP, _SHAPE_STEP = 1e-3, 1e-3
 
@@ -60,7 +62,9 @@ class Fit:
         return float(self.residual @ self.residual)
 
 
-def refit(simulator: Simulator, data: Array, noise: Noise, start: State, *, iterations: int = _MOST) -> Fit:
+def refit(
+    simulator: Simulator, data: Array, noise: Noise, start: State, *, iterations: int = _MOST, renewed: int = 1
+) -> Fit:
     """The nearest minimum from a start.
 
     Args:
@@ -69,68 +73,100 @@ def refit(simulator: Simulator, data: Array, noise: Noise, start: State, *, iter
         noise: its covariance.
         start: where to begin; its terms say what is fitted besides.
         iterations: at most so many, unless the objective still falls by much.
+        renewed: after how many steps the simulator's own derivatives are taken again; those of terms always are. They
+            are at the end, and where a step fails.
     """
-    target, damping = noise.whiten(data), 1e-3
+    target, damping, stale = noise.whiten(data), 1e-3, 0
     here = _at(simulator, noise, target, start)
     for i in range(_LONGEST):
-        offset = _offsets(simulator, here.state)
-        normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
-        slope = here.jacobian.T @ here.residual - here.penalty * offset
-        fell = 0.0
-        while damping < 1e6:
-            scale = damping * np.diag(normal) + 1e-12
-            step = np.asarray(np.linalg.solve(normal + np.diag(scale), slope), np.float64)
-            moved = _moved(simulator, here.state, step)
-            objective = _objective(simulator, noise, target, moved)
-            if objective < here.objective:
-                fell, damping = here.objective - objective, damping / 10.0
-                here = _at(simulator, noise, target, moved)
-                break
-            damping *= 8.0
-        if fell < _SETTLED or (i + 1 >= iterations and fell < _FALLING * here.objective):
+        lower, damping = _lower(simulator, noise, target, here, damping, patient=not stale)
+        fell = 0.0 if lower is None else here.objective - lower.objective
+        here, stale = (here, stale) if lower is None else (lower, stale + 1)
+        settled = fell < _SETTLED or (i + 1 >= iterations and fell < _FALLING * here.objective)
+        if settled and not stale:
             break
-        damping = max(damping, 1e-9)
-    return here
+        if settled or stale >= renewed:
+            here, stale = _at(simulator, noise, target, here.state, here.values), 0
+            if settled and lower is not None:
+                break
+    return here if not stale else _at(simulator, noise, target, here.state, here.values)
 
 
-def _objective(simulator: Simulator, noise: Noise, target: Array, state: State) -> float:
-    residual = target - noise.whiten(simulator.predict(state.own, state.shared, state.terms))
+def _lower(
+    simulator: Simulator, noise: Noise, target: Array, here: Fit, damping: float, *, patient: bool
+) -> tuple[Fit | None, float]:
+    """A lower point by a damped step, with the simulator's own derivatives as they are here, and the next damping."""
+    offset = _offsets(simulator, here.state)
+    normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
+    slope = here.jacobian.T @ here.residual - here.penalty * offset
+    while damping < _STUCK:
+        scale = damping * np.diag(normal) + 1e-12
+        step = np.asarray(np.linalg.solve(normal + np.diag(scale), slope), np.float64)
+        moved = _moved(simulator, here.state, step)
+        values = simulator.predict(moved.own, moved.shared, moved.terms)
+        if _objective(simulator, noise, target, moved, values) < here.objective:
+            return _at(simulator, noise, target, moved, values, here), max(damping / 10.0, 1e-9)
+        if not patient:
+            break
+        damping *= 8.0
+    return None, damping
+
+
+def _objective(simulator: Simulator, noise: Noise, target: Array, state: State, values: Array) -> float:
+    residual = target - noise.whiten(values)
     offset = _offsets(simulator, state)
     return float(residual @ residual + (penalties(simulator, state) * offset**2).sum())
 
 
-def _at(simulator: Simulator, noise: Noise, target: Array, state: State) -> Fit:
-    values, jacobian = linearised(simulator, state)
-    residual = target - noise.whiten(values)
-    penalty = penalties(simulator, state)
-    objective = float(residual @ residual + (penalty * _offsets(simulator, state) ** 2).sum())
+def _at(
+    simulator: Simulator,
+    noise: Noise,
+    target: Array,
+    state: State,
+    values: Array | None = None,
+    known: Fit | None = None,
+) -> Fit:
+    """A point; its values where they are known, and the fit nearby whose own derivatives still hold."""
+    if values is None:
+        values = simulator.predict(state.own, state.shared, state.terms)
     nuisance = state.own.size + state.shared.size
-    return Fit(state, values, residual, noise.whiten(jacobian).T, penalty, objective, nuisance)
+    added = noise.whiten(of_terms(simulator, state, values)).T
+    if known is None:
+        jacobian = np.concatenate([noise.whiten(of_nuisance(simulator, state, values)).T, added], axis=1)
+    else:
+        jacobian = np.concatenate([known.jacobian[:, :nuisance], added], axis=1)
+    objective = _objective(simulator, noise, target, state, values)
+    return Fit(state, values, target - noise.whiten(values), jacobian, penalties(simulator, state), objective, nuisance)
 
 
-def linearised(simulator: Simulator, state: State) -> tuple[Array, Array]:
-    """Values (C, K) and their derivatives by every coordinate (n, C, K)."""
+def of_nuisance(simulator: Simulator, state: State, values: Array) -> Array:
+    """Derivatives by the simulator's own coordinates and the shared ones (n, C, K), at known values (C, K)."""
     own, steps = simulator.own, simulator.own.step
     count, size = len(simulator.channels), len(own)
-    batch = np.repeat(state.own[None], size + 1, axis=0)
+    batch = np.repeat(state.own[None], size, axis=0)
     for p in range(size):
-        batch[p + 1, :, p] += steps[p]
+        batch[p, :, p] += steps[p]
     found = simulator.predict(batch, state.shared, state.terms)
-    values = found[0]
-    columns = [_spread_out((found[p + 1] - values) / steps[p]) for p in range(size)]
+    columns = [_spread_out((found[p] - values) / steps[p]) for p in range(size)]
     mine = np.stack(columns, axis=1).reshape(count * size, *values.shape)
     rest = []
     for s in range(len(simulator.shared)):
         moved = state.shared.copy()
         moved[s] += simulator.shared.step[s]
         rest.append(((simulator.predict(state.own, moved, state.terms) - values) / simulator.shared.step[s])[None])
+    return np.concatenate([mine, *rest])
+
+
+def of_terms(simulator: Simulator, state: State, values: Array) -> Array:
+    """Derivatives by what is fitted of the terms (n, C, K), at known values (C, K)."""
+    found = [np.zeros((0, *values.shape))]
     for i, term in enumerate(state.terms):
         for part in _parts(term):
             changed = _with_step(term, part, 1.0)
             terms = (*state.terms[:i], changed, *state.terms[i + 1 :])
             change = (simulator.predict(state.own, state.shared, terms) - values) / _size_of_step(term, part)
-            rest.append(_spread_out(change) if _is_local(term, part) else change[None])
-    return values, np.concatenate([mine, *rest])
+            found.append(_spread_out(change) if _is_local(term, part) else change[None])
+    return np.concatenate(found)
 
 
 def _spread_out(change: Array) -> Array:

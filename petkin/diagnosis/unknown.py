@@ -2,8 +2,8 @@
 
     delta_c(t) = f_c(t) sum_j w_j phi_j(x) (a_j + b_cj),   x = log(t + 1) rescaled to 0..1,  phi_j = cos(pi j x)
 
-a Gaussian process with a cosine basis, of which a part is common to all channels; only what the projection leaves of it
-counts, so that it can never take what the simulator's own parameters explain.
+a Gaussian process with a cosine basis, common to all channels, in each for itself, or both; only what the projection
+leaves of it counts, so that it can never take what the simulator's own parameters, or a named effect's, explain.
 
 Reference: Plumlee M. Bayesian calibration of inexact computer models. J Am Stat Assoc 2017;112:1274-1285.
 doi:10.1080/01621459.2016.1211016
@@ -11,13 +11,57 @@ doi:10.1080/01621459.2016.1211016
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from petkin.diagnosis import evidence
+from petkin.diagnosis.noise import Noise
+from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.refit import Fit
 
 Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 10, 1.0
+#: Explanations beside which it is looked for, and the prior odds of it against a named one (natural logarithm).
+_BESIDE, _PRIOR = 4, -3.0
+
+
+class Explanation(Protocol):
+    """A named explanation with its evidence and its fit."""
+
+    @property
+    def fit(self) -> Fit | None: ...
+
+    @property
+    def log_evidence(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """The discrepancy around a fit, whitened and projected: columns (n, m) and G'PG of each of its three kinds."""
+
+    kinds: tuple[tuple[Array, Array], ...]
+
+    @classmethod
+    def around(cls, values: Array, times: Array, noise: Noise, projection: Projection) -> Smooth:
+        """Around predicted values (C, K)."""
+        columns = noise.whiten(discrepancies(values, times)).T
+        axes = projection.axes[: projection.rows]
+        projected = columns - axes @ (axes.T @ columns)
+        information = columns.T @ projected
+        parts = (slice(0, _COUNT), slice(_COUNT, None), slice(0, None)) if len(values) > 1 else (slice(0, _COUNT),)
+        return cls(tuple((projected[:, p], information[p, p]) for p in parts))
+
+    def evidence(self, residuals: Array) -> Array:
+        """log evidence of a discrepancy for whitened residuals (..., n)."""
+        found = [evidence.spread(residuals @ columns, information) for columns, information in self.kinds]
+        return logsumexp(np.stack(found), axis=0) - np.log(len(found))
 
 
 def discrepancies(values: Array, times: Array) -> Array:
@@ -37,3 +81,21 @@ def discrepancies(values: Array, times: Array) -> Array:
         cosines[:, None, None, :] * (0.5 * values + 0.5 * level)[None, None]
     )
     return np.concatenate([common, alone.reshape(-1, *values.shape)])
+
+
+def left_over(times: Array, noise: Noise, ranked: Sequence[Explanation], alone: float) -> float:
+    """log evidence of a gap of no name, alone or beside any of the likeliest explanations.
+
+    Args:
+        times: of the samples.
+        noise: its covariance.
+        ranked: explanations, best first.
+        alone: log evidence of a discrepancy in place of them all.
+    """
+    found = [alone]
+    for candidate in [c for c in ranked if c.fit is not None][:_BESIDE]:
+        fit = candidate.fit
+        assert fit is not None
+        smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
+        found.append(candidate.log_evidence + float(smooth.evidence(fit.residual)))
+    return float(np.logaddexp.reduce(found)) + _PRIOR

@@ -10,7 +10,7 @@ With u the decayed input and y its response, y' = u - (a + lambda) y, so a frame
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -88,27 +88,43 @@ class Tabulated:
     """The same from a table; inputs are read as straight lines between `nodes`."""
 
     def __init__(self, input: InputFunction, clock: FrameObservation, nodes: Array) -> None:
-        self._input, self._clock, self._nodes = input, clock, nodes
-        self._plasma = _table(input.plasma, clock, nodes)
-        blood = _march(*_unshifted(input.whole_blood), clock.decay, nodes.tobytes())
-        self.blood = blood.frames(clock, None)
-        self.blood_area = blood.frames(clock, 0)
+        self._input, self._clock, self._nodes = input, clock, nodes.tobytes()
+        self._plasma = self._frames(input.plasma, _RATES)
+
+    def _frames(self, forcing: Forcing, rates: Array) -> Array:
+        return _march(*_unshifted(forcing), self._clock.decay, self._nodes).frames(self._clock, rates)
 
     def plasma(self, rates: Array) -> Array:
-        return self._plasma(np.log(np.clip(rates, 0.0, _RATES[-1]) + _OFFSET))
+        return _between(rates, self._plasma)
+
+    @cached_property
+    def blood(self) -> Array:
+        return _march(*_unshifted(self._input.whole_blood), self._clock.decay, self._nodes).frames(self._clock, None)
+
+    @cached_property
+    def blood_area(self) -> Array:
+        return self._frames(self._input.whole_blood, _RATES[:1])[0]
+
+    @cached_property
+    def _total(self) -> Array | None:
+        total = self._input.total_plasma
+        return None if total is None or self._input.parent_fraction is None else self._frames(total, _RATES)
 
     def metabolites(self, rates: Array) -> Array:
-        total = self._input.total_plasma
-        if total is None or self._input.parent_fraction is None:
+        if self._total is None:
             return np.zeros((*np.shape(rates), len(self._clock.frames)))
-        whole = _table(total, self._clock, self._nodes)
-        return whole(np.log(np.clip(rates, 0.0, _RATES[-1]) + _OFFSET)) - self.plasma(rates)
+        return _between(rates, self._total) - self.plasma(rates)
 
 
-def _table(forcing: Forcing, clock: FrameObservation, nodes: Array) -> CubicSpline:
-    base, delay = _unshifted(forcing)
-    frames = _march(base, delay, clock.decay, nodes.tobytes()).frames(clock, slice(None))
-    return CubicSpline(np.log(_RATES + _OFFSET), frames)
+_KNOTS = np.log(_RATES + _OFFSET)
+#: Coefficients of the pieces of a spline through the table, as weights of its rows (4, pieces, rates).
+_SPLINE = np.ascontiguousarray(CubicSpline(_KNOTS, np.eye(_RATES.size)).c)
+
+
+def _between(rates: Array, table: Array) -> Array:
+    """Rows of a table at any rates: (...) to (..., K)."""
+    x = np.log(np.clip(rates, 0.0, _RATES[-1]) + _OFFSET)
+    return (_weights(np.ravel(x), _KNOTS, _SPLINE) @ table).reshape(*np.shape(rates), table.shape[1])
 
 
 def _unshifted(forcing: Forcing) -> tuple[Forcing, float]:
@@ -129,28 +145,26 @@ class _March:
     delay: float
     decay: float
 
-    def frames(self, clock: FrameObservation, which: int | slice | None) -> Array:
-        """Frame values of the input itself (None), or of its responses to some of the rates."""
+    def frames(self, clock: FrameObservation, rates: Array | None) -> Array:
+        """Frame values of the input itself (None), or of its responses to rates of the table, from the first on."""
+        sinks = np.zeros(0) if rates is None else rates + self.decay
+        if clock.mid_frame:
+            return self._mid_frame(clock, sinks)
         edges = np.concatenate([clock.frames.start, clock.frames.end]) - self.delay
-        y, area = _at(self.nodes, self.u, self.y, self.area, _RATES + self.decay, edges)
+        y, area = _at(self.nodes, self.u, self.y, self.area, sinks, edges)
         count = len(clock.frames)
         gone = np.exp(-self.decay * self.delay)  # decay over the delay: the input is decay-corrected to injection
-        if clock.mid_frame:
-            return self._mid_frame(clock, which)
-        if which is None:
-            integral = area[count:] - area[:count]
-        else:
-            dy = y[which, count:] - y[which, :count]
-            sunk = np.maximum(_RATES[which] + self.decay, _LEAST)
-            integral = ((area[count:] - area[:count]) - dy) / (sunk if isinstance(which, int) else sunk[:, None])
+        integral = area[count:] - area[:count]
+        if rates is not None:
+            integral = (integral - (y[:, count:] - y[:, :count])) / np.maximum(sinks, _LEAST)[:, None]
         return gone * integral / clock.divisor.numpy()
 
-    def _mid_frame(self, clock: FrameObservation, which: int | slice | None) -> Array:
+    def _mid_frame(self, clock: FrameObservation, sinks: Array) -> Array:
         mid = clock.frames.mid - self.delay
-        if which is None:
-            curve = np.interp(mid, self.nodes, self.u, left=0.0)
+        if sinks.size:
+            curve = _at(self.nodes, self.u, self.y, self.area, sinks, mid)[0]
         else:
-            curve = _at(self.nodes, self.u, self.y, self.area, _RATES + self.decay, mid)[0][which]
+            curve = np.interp(mid, self.nodes, self.u, left=0.0)
         return curve * np.exp(self.decay * mid) * clock.gain_or_one.numpy()
 
 
@@ -158,7 +172,7 @@ class _March:
 def _marched(forcing: Forcing, decay: float, nodes: bytes) -> tuple[Array, Array, Array, Array]:
     times = np.frombuffer(nodes).copy()
     u = np.asarray(forcing(torch.from_numpy(times)).numpy() * np.exp(-decay * times), np.float64)
-    y, area = _walk(times, u, _RATES + decay)
+    y, area = _walk(times, u, _steps(decay, nodes))
     return times, u, y, area
 
 
@@ -178,14 +192,33 @@ def _step(a, d, first, last):
 
 
 @njit(cache=True, error_model="numpy")
-def _walk(times, u, rates):
-    count = times.size
-    y, area = np.zeros((rates.size, count)), np.zeros(count)
-    for i in range(count - 1):
+def _weigh(times, rates):
+    """What a step keeps of y, and what it adds per first and last value of the input (3, steps, rates)."""
+    found = np.empty((3, times.size - 1, rates.size))
+    for i in range(times.size - 1):
         d = times[i + 1] - times[i]
-        area[i + 1] = area[i] + 0.5 * d * (u[i] + u[i + 1])
         for r in range(rates.size):
-            y[r, i + 1] = np.exp(-rates[r] * d) * y[r, i] + _step(rates[r], d, u[i], u[i + 1])
+            found[0, i, r] = np.exp(-rates[r] * d)
+            found[1, i, r] = _step(rates[r], d, 1.0, 0.0)
+            found[2, i, r] = _step(rates[r], d, 0.0, 1.0)
+    return found
+
+
+@lru_cache(maxsize=8)
+def _steps(decay: float, nodes: bytes) -> Array:
+    return _weigh(np.frombuffer(nodes), _RATES + decay)
+
+
+@njit(cache=True, error_model="numpy")
+def _walk(times, u, weights):
+    steps, count = weights.shape[1:]
+    y, area = np.zeros((count, steps + 1)), np.zeros(steps + 1)
+    here = np.zeros(count)
+    for i in range(steps):
+        area[i + 1] = area[i] + 0.5 * (times[i + 1] - times[i]) * (u[i] + u[i + 1])
+        for r in range(count):
+            here[r] = weights[0, i, r] * here[r] + weights[1, i, r] * u[i] + weights[2, i, r] * u[i + 1]
+            y[r, i + 1] = here[r]
     return y, area
 
 
@@ -206,3 +239,15 @@ def _at(times, u, y, area, rates, wanted):
         for r in range(rates.size):
             found[r, k] = np.exp(-rates[r] * d) * y[r, i] + _step(rates[r], d, u[i], here)
     return found, total
+
+
+@njit(cache=True, error_model="numpy")
+def _weights(x, knots, spline):
+    """Weights of the table's rows at every x, as the spline through them has it."""
+    found = np.empty((x.size, knots.size))
+    for n in range(x.size):
+        i = min(max(np.searchsorted(knots, x[n], side="right") - 1, 0), knots.size - 2)
+        d = x[n] - knots[i]
+        for j in range(knots.size):
+            found[n, j] = ((spline[0, i, j] * d + spline[1, i, j]) * d + spline[2, i, j]) * d + spline[3, i, j]
+    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -127,7 +128,7 @@ class FrameObservation:
         area = areas[..., len(start) :] - areas[..., : len(start)]
         return area / self.divisor
 
-    @property
+    @cached_property
     def divisor(self) -> Float[Tensor, " frames"]:
         """What the frame's integral is divided by to give its value, min."""
         plain = self.mean_decay_times_duration if self.corrected else torch.tensor(self.frames.duration)
@@ -137,7 +138,7 @@ class FrameObservation:
     def gain_or_one(self) -> Float[Tensor, " frames"]:
         return torch.ones(len(self.frames), dtype=torch.float64) if self.gain is None else torch.tensor(self.gain)
 
-    @property
+    @cached_property
     def mean_decay_times_duration(self) -> Float[Tensor, " frames"]:
         """int_k e^{-lam t} dt, min."""
         start, duration = torch.tensor(self.frames.start), torch.tensor(self.frames.duration)

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
-from petkin.diagnosis.noise import Noise, common_share, from_flexible, outlying, second_differences
+from petkin.diagnosis.noise import Noise, common_share, from_flexible, outlying, pooled, second_differences
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.sets import probabilities, smallest_set
 from petkin.diagnosis.where import benjamini_hochberg
@@ -97,7 +97,8 @@ def test_evidence_of_many_amplitudes_is_a_ratio_of_normals() -> None:
 
 def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
     rng = np.random.default_rng(5)
-    draws = noise_draws(rng, 300, (5, 36), 0.4, np.inf, [np.zeros((36, 0))] * 5)
+    noise = Noise(np.ones((5, 36)), np.ones(5), 0.4)
+    draws = noise_draws(rng, 300, noise, np.inf, [np.zeros((36, 0))] * 5)
     assert draws.shape == (300, 180)
     assert float((draws**2).mean()) == pytest.approx(1.0, abs=0.06)
 
@@ -128,3 +129,12 @@ def test_a_set_reaches_its_mass_and_takes_doubles_in() -> None:
 
 def test_benjamini_hochberg_by_hand() -> None:
     np.testing.assert_allclose(benjamini_hochberg(np.array([0.01, 0.04, 0.03, 0.5])), [0.04, 0.16 / 3, 0.16 / 3, 0.5])
+
+
+def test_sizes_are_drawn_together_only_as_far_as_chance_could_part_them() -> None:
+    freedom = np.full(4, 30.0)
+    alike, apart = np.array([0.95, 1.0, 1.05, 1.0]), np.array([0.2, 1.0, 3.0, 8.0])
+    assert np.ptp(pooled(alike, freedom)) < 1e-12
+    np.testing.assert_allclose(pooled(apart, freedom), apart, rtol=0.12)
+    np.testing.assert_allclose(pooled(7.0 * apart, freedom), 7.0 * pooled(apart, freedom))
+    assert pooled(np.array([2.0]), np.array([30.0])) == 2.0

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from petkin.diagnosis import diagnose
-from petkin.diagnosis.diagnose import base_fit
+from petkin.diagnosis.nominal import base_fit
 from petkin.effects import EFFECTS, effect_named
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS, prepared, sources_of

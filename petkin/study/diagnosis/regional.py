@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -71,21 +72,29 @@ class RegionalSimulator:
 
     @property
     def own(self) -> Coordinates:
+        return self._own
+
+    @cached_property
+    def _own(self) -> Coordinates:
         symbols = (*kinetics(self.label), *self._own_effects)
         mean, sd = (np.array([PRIOR[s][i] for s in symbols]) for i in (0, 1))
         return Coordinates(symbols, np.log(mean), sd, np.full(len(symbols), _LOG_STEP))
 
-    @property
+    @cached_property
     def _own_effects(self) -> tuple[str, ...]:
         return tuple(_OWN[e.name] for e in self.includes if e.name in _OWN)
 
-    @property
+    @cached_property
     def _shared_effects(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.includes if e.name not in _OWN and not e.flag)
 
     @property
     def shared(self) -> Coordinates:
         """Amplitudes of included effects in widths of their plausible range, which is their prior."""
+        return self._shared
+
+    @cached_property
+    def _shared(self) -> Coordinates:
         count = len(self._shared_effects)
         symbols = tuple(e.name for e in self._shared_effects)
         return Coordinates(symbols, np.zeros(count), np.ones(count), np.full(count, _SHARED_STEP))

@@ -1,0 +1,42 @@
+"""The simulator as it is: its best fit, and the noise about it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis.effect import Simulator
+from petkin.diagnosis.noise import Noise, first_floor, from_flexible, outlying
+from petkin.diagnosis.refit import Fit, State, refit
+
+Array = NDArray[np.float64]
+
+
+def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array], Array]:
+    """The simulator's own best fit, the noise, what the flexible fit took, and its residual.
+
+    Two rounds: the second weighs by the values that the first predicts.
+    """
+    spread = simulator.spread(np.maximum(data, 0.0))
+    bends = np.diff(data / spread, n=2, axis=1) / np.sqrt(6.0)
+    size = np.full(len(data), np.median(np.abs(bends)) / 0.6745)
+    noise = Noise(spread, np.maximum(size, 1e-9 * np.abs(data / spread).max()), 0.0)
+    shared = simulator.shared.mean
+    fits = [refit(simulator, data, noise, State(own, shared)) for own in simulator.starts]
+    base = min(fits, key=lambda f: f.objective)
+    flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
+    for _ in range(2):
+        plain = simulator.spread(np.maximum(base.values, 0.0))
+        spread = plain * outlying(flexible[0] * spread / plain)
+        flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
+        noise = first_floor(
+            (data - base.values) / spread, spread, flexible, least_noise(simulator, base.values, spread)
+        )
+        base = refit(simulator, data, noise, base.state)
+    loose, freedom, bases = flexible
+    return base, noise, bases, loose / np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]
+
+
+def least_noise(simulator: Simulator, values: Array, spread: Array) -> Array:
+    """Size of noise (C,) as small as the simulator's numerical errors."""
+    return simulator.accuracy * np.median(np.abs(values) / spread, axis=1) + 1e-300

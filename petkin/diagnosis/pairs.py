@@ -1,0 +1,178 @@
+"""Two effects at once: beside the leaders, and jointly, since two together may look like a third.
+
+For columns g, h of two templates, projected, with t = g'Pr / |Pg| and c their cosine, both explain
+
+    (t_g^2 + t_h^2 - 2 c t_g t_h) / (1 - c^2)
+
+of the residual; all pairs of columns are looked at as one matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from petkin.diagnosis.effect import Hypothesis, Simulator, Term
+from petkin.diagnosis.noise import Noise
+from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.scan import Scan, Template, start
+from petkin.diagnosis.which import Candidate, after_refit, refitted
+
+Array = NDArray[np.float64]
+
+#: What a second effect costs in log evidence: most gaps have one cause.
+_SECOND = 6.0
+#: Leaders within this of the best are given a second effect, no more than so many; pairs refitted of those found beside
+#: them and jointly.
+_WITHIN, _LEADERS, _BESIDE, _JOINTLY = 7.0, 4, 5, 5
+#: Pairs are refitted where the scan puts them within this of the best single cause.
+_CLOSE = 4.0
+#: Columns of a hypothesis that take part in the joint look, what an amplitude costs there, and cosines beyond which two
+#: columns are one.
+_COLUMNS, _AMPLITUDE, _ONE = 10, 2.5, 0.98
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """A pair to refit: what the scan gives it, from where, with which terms, less what their choice gained."""
+
+    score: float
+    terms: tuple[Term, ...]
+    begin: Candidate | None
+    excess: float
+
+
+def pairs(
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, scan: Scan, leaders: Sequence[Candidate]
+) -> list[Candidate]:
+    """Likely pairs, fully refitted; best first."""
+    best = leaders[0].log_evidence
+    beside = _likeliest(_beside(scan, leaders), best, _BESIDE)
+    jointly = _likeliest(_jointly(scan, base.residual), best, _JOINTLY)
+    found: dict[tuple[str, ...], Candidate] = {}
+    for wanted in (*beside, *jointly):
+        pair = _refitted(simulator, data, noise, base, wanted)
+        if pair.names not in found or pair.log_evidence > found[pair.names].log_evidence:
+            found[pair.names] = pair
+    return sorted(found.values(), key=lambda c: -c.log_evidence)
+
+
+def _likeliest(wanted: dict[tuple[str, ...], _Wanted], best: float, most: int) -> list[_Wanted]:
+    close = [w for w in wanted.values() if w.score - _SECOND > best - _CLOSE]
+    return sorted(close, key=lambda w: -w.score)[:most]
+
+
+def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted: _Wanted) -> Candidate:
+    leader = None if wanted.begin is None else wanted.begin.fit
+    pair = refitted(simulator, data, noise, base, wanted.terms, leader)
+    if wanted.begin is None or leader is None or pair.fit is None:
+        return replace(pair, log_evidence=pair.log_evidence - wanted.excess - _SECOND)
+    second = after_refit(leader, pair.fit, len(simulator.channels), len(leader.state.terms))
+    second += wanted.terms[-1].hypothesis.log_odds
+    return replace(pair, log_evidence=wanted.begin.log_evidence + second - wanted.excess - _SECOND)
+
+
+def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _Wanted]:
+    """The leaders with the second effect that their residual asks for.
+
+    Templates stay those around the simulator's own fit; only what they are projected off is each leader's.
+    """
+    wanted: dict[tuple[str, ...], _Wanted] = {}
+    best = leaders[0].log_evidence
+    for leader in [c for c in leaders if c.fit is not None and c.log_evidence > best - _WITHIN][:_LEADERS]:
+        fit = leader.fit
+        assert fit is not None
+        others = [t for t in scan.templates if t.hypothesis.name not in leader.names]
+        second = Scan(others, Projection.of_fit(fit), None)
+        each = second.each(fit.residual)
+        for name, value in second.by_hypothesis(each).items():
+            key = tuple(sorted((*leader.names, name)))
+            score = leader.log_evidence + float(value)
+            if key not in wanted or score > wanted[key].score:
+                terms = (*leader.terms, start(second, fit.residual, each, name))
+                wanted[key] = _Wanted(score, terms, leader, second.excess(each, name))
+    return wanted
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Single amplitudes: of which hypothesis, from which template, in which channel (-1: all)."""
+
+    projected: Array
+    information: Array
+    templates: list[Template]
+    channels: list[int]
+
+
+def _jointly(scan: Scan, residual: Array) -> dict[tuple[str, ...], _Wanted]:
+    """Every two hypotheses at the settings that explain most together."""
+    columns = _columns(scan, residual)
+    found, amplitudes = _explained(columns, residual)
+    names = np.array([t.hypothesis.name for t in columns.templates])
+    order = list(dict.fromkeys(names))
+    places = {name: np.flatnonzero(names == name) for name in order}
+    wanted = {}
+    for a, first in enumerate(order):
+        for second in order[a + 1 :]:
+            block = found[np.ix_(places[first], places[second])]
+            top = float(block.max())
+            if top < 0:
+                continue
+            mean = float(logsumexp(block) - np.log(block.size))
+            i, j = np.unravel_index(int(block.argmax()), block.shape)
+            both = places[first][i], places[second][j]
+            terms = tuple(_term(columns, k, float(amplitudes[k, m])) for k, m in (both, both[::-1]))
+            wanted[tuple(sorted((first, second)))] = _Wanted(mean, terms, None, top - mean)
+    return wanted
+
+
+def _columns(scan: Scan, residual: Array) -> _Columns:
+    """The columns of every hypothesis that the residual likes best, one a channel and one for all channels together."""
+    projected, information, templates, channels = [], [], [], []
+    for template, mine in zip(scan.templates, scan.by_template()):
+        sides = [(mine[:, c], c if mine.shape[1] > 1 else -1) for c in range(mine.shape[1])]
+        sides += [(mine.sum(axis=1), -1)] if mine.shape[1] > 1 else []
+        for column, channel in sides:
+            projected.append(column)
+            information.append(float(column @ column) + template.hypothesis.width**-2.0)
+            templates.append(template)
+            channels.append(channel)
+    stacked, sizes = np.stack(projected, axis=1), np.array(information)
+    liked = (residual @ stacked) ** 2 / sizes
+    names = np.array([t.hypothesis.name for t in templates])
+    mine = [np.flatnonzero(names == name) for name in dict.fromkeys(names)]
+    kept = np.concatenate([m[np.argsort(-liked[m], kind="stable")[:_COLUMNS]] for m in mine])
+    return _Columns(stacked[:, kept], sizes[kept], [templates[k] for k in kept], [channels[k] for k in kept])
+
+
+def _explained(columns: _Columns, residual: Array) -> tuple[Array, Array]:
+    """log evidence of every two columns, and the amplitude of the first beside the second."""
+    gram = columns.projected.T @ columns.projected
+    score, size = columns.projected.T @ residual, columns.information
+    room = size[:, None] * size[None] - gram**2
+    apart = gram**2 < _ONE**2 * size[:, None] * size[None]
+    room = np.where(apart, room, np.inf)
+    amplitudes = (size[None] * score[:, None] - gram * score[None]) / room
+    gain = amplitudes * score[:, None] + amplitudes.T * score[None]
+    one_sided = np.array([not t.hypothesis.signed for t in columns.templates])
+    fine = ~one_sided[:, None] | (amplitudes > 0)
+    flags = np.array([t.hypothesis.flag for t in columns.templates])
+    possible = apart & fine & fine.T & ~flags[:, None] & ~flags[None]
+    return np.where(possible, 0.5 * gain - 2.0 * _AMPLITUDE, -np.inf), amplitudes
+
+
+def _term(columns: _Columns, place: int, amplitude: float) -> Term:
+    template, channel = columns.templates[place], columns.channels[place]
+    hypothesis: Hypothesis = template.hypothesis
+    count = template.columns.shape[1]
+    inside = float(np.clip(amplitude, *hypothesis.limits))
+    if not hypothesis.by_channel:
+        return Term(hypothesis, inside, template.setting)
+    local = {s.symbol: np.full(count, template.setting[s.symbol]) for s in hypothesis.shapes if s.by_channel}
+    amplitudes = np.full(count, inside) if channel < 0 else np.where(np.arange(count) == channel, inside, 0.0)
+    return Term(hypothesis, amplitudes, {**template.setting, **local})

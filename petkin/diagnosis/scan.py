@@ -1,0 +1,136 @@
+"""The scan: templates of all hypotheses against the residual, and against draws of noise, as matrix products."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from petkin.diagnosis import evidence
+from petkin.diagnosis.effect import Hypothesis, Simulator, Term
+from petkin.diagnosis.noise import Noise
+from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.unknown import Smooth
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Template:
+    """What a hypothesis adds at a weak amplitude, per unit of it: whitened columns (n, 1), or one a channel (n, C)."""
+
+    hypothesis: Hypothesis
+    setting: dict[str, float]
+    columns: Array
+
+
+def templates(simulator: Simulator, noise: Noise, fit: Fit, hypotheses: Sequence[Hypothesis]) -> tuple[Template, ...]:
+    """Whitened templates of all hypotheses at all their settings, around a fit."""
+    found = []
+    count = len(simulator.channels)
+    base = fit.state.terms
+    for hypothesis in hypotheses:
+        for setting in hypothesis.settings:
+            size = hypothesis.typical
+            term = Term(hypothesis, np.full(count, size) if hypothesis.by_channel else size, dict(setting))
+            moved = simulator.predict(fit.state.own, fit.state.shared, (*base, term))
+            change = (moved - fit.values) / size
+            columns = np.eye(count)[:, :, None] * change[None] if hypothesis.by_channel else change[None]
+            found.append(Template(hypothesis, dict(setting), noise.whiten(columns).T))
+    return tuple(found)
+
+
+class Scan:
+    """All templates at once against residuals, and against as many draws of noise as are wanted."""
+
+    def __init__(self, found: Sequence[Template], projection: Projection, smooth: Smooth | None) -> None:
+        self.templates = tuple(found)
+        self.columns = np.concatenate([t.columns for t in found], axis=1)
+        axes = projection.axes[: projection.rows]
+        self.projected = self.columns - axes @ (axes.T @ self.columns)
+        ends = np.cumsum([t.columns.shape[1] for t in found])
+        self._places = [slice(end - t.columns.shape[1], end) for t, end in zip(found, ends)]
+        self._information = [self.columns[:, p].T @ self.projected[:, p] for p in self._places]
+        self._smooth = smooth
+
+    def by_template(self) -> list[Array]:
+        """What the projection leaves of the columns of every template."""
+        return [self.projected[:, place] for place in self._places]
+
+    def amplitude(self, index: int, residual: Array) -> Array:
+        """Linear fit of a template's amplitude to a residual, one or one a channel."""
+        information, hypothesis = self._information[index], self.templates[index].hypothesis
+        ridged = information + np.eye(len(information)) * hypothesis.width**-2.0
+        return np.linalg.solve(ridged, residual @ self.projected[:, self._places[index]])
+
+    def each(self, residuals: Array) -> Array:
+        """log evidence of every template for residuals (..., n): (..., templates)."""
+        scores = residuals @ self.projected
+        found = np.empty((*residuals.shape[:-1], len(self.templates)))
+        for i, (template, place) in enumerate(zip(self.templates, self._places)):
+            found[..., i] = _evidence(template.hypothesis, scores[..., place], self._information[i])
+        return found
+
+    def unknown(self, residuals: Array) -> Array:
+        """log evidence of a smooth discrepancy (...)."""
+        if self._smooth is None:
+            return np.full(residuals.shape[:-1], -np.inf)
+        return self._smooth.evidence(residuals)
+
+    def excess(self, each: Array, name: str) -> float:
+        """What choosing the best setting of a hypothesis gains over an average one."""
+        values = np.array([e for t, e in zip(self.templates, each) if t.hypothesis.name == name])
+        return float(values.max() - (logsumexp(values) - np.log(len(values))))
+
+    def by_hypothesis(self, each: Array) -> dict[str, Array]:
+        """Evidence averaged over the settings of every hypothesis."""
+        found, place = {}, 0
+        for name, group in groupby(self.templates, key=lambda t: t.hypothesis.name):
+            count = len(list(group))
+            found[name] = logsumexp(each[..., place : place + count], axis=-1) - np.log(count)
+            place += count
+        return found
+
+    def statistic(self, residuals: Array) -> Array:
+        """One number that grows with any gap: evidence averaged over hypotheses, a smooth discrepancy among them."""
+        found = [*self.by_hypothesis(self.each(residuals)).values(), self.unknown(residuals)]
+        return logsumexp(np.stack(found), axis=0) - np.log(len(found))
+
+
+def _evidence(hypothesis: Hypothesis, score: Array, information: Array) -> Array:
+    if hypothesis.flag:
+        return score[..., 0] - 0.5 * information[0, 0]
+    ridged = information + np.eye(len(information)) * hypothesis.width**-2.0
+    if hypothesis.by_channel:
+        return evidence.by_channel(score, ridged)
+    t = score[..., 0] / np.sqrt(ridged[0, 0])
+    return evidence.two_sided(t) if hypothesis.signed else evidence.one_sided(t)
+
+
+def start(scan: Scan, residual: Array, each: Array, name: str) -> Term:
+    """A hypothesis at the setting that the scan likes best, with the amplitude of a linear fit to the residual.
+
+    Args:
+        scan: of the residual.
+        residual: whitened.
+        each: log evidence of every template.
+        name: of the hypothesis.
+    """
+    places = [i for i, t in enumerate(scan.templates) if t.hypothesis.name == name]
+    best = max(places, key=lambda i: each[i])
+    return _start(scan.templates[best], scan.amplitude(best, residual))
+
+
+def _start(template: Template, amplitude: Array) -> Term:
+    hypothesis, count = template.hypothesis, template.columns.shape[1]
+    local = {s.symbol: np.full(count, template.setting[s.symbol]) for s in hypothesis.shapes if s.by_channel}
+    if hypothesis.flag:
+        return Term(hypothesis, 1.0, template.setting)
+    low, high = hypothesis.limits
+    inside = np.clip(amplitude, low if hypothesis.signed else min(hypothesis.typical, high), high)
+    return Term(hypothesis, inside if hypothesis.by_channel else float(inside[0]), {**template.setting, **local})

@@ -1,0 +1,114 @@
+"""What a diagnosis says: causes with their estimates, and everything about the gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from petkin.diagnosis.design import Visible
+from petkin.diagnosis.how_far import Interval
+from petkin.diagnosis.noise import Noise
+from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.where import Place
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted quantity of a cause with its 90 % interval."""
+
+    symbol: str
+    unit: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One explanation.
+
+    Args:
+        effects: names, one or two.
+        stages: of each.
+        probability: of this and no other.
+        log_evidence: against no effect.
+        estimates: amplitude first.
+        closure: share of the gap that it closes, held out.
+        fit: with it.
+    """
+
+    effects: tuple[str, ...]
+    stages: tuple[str, ...]
+    probability: float
+    log_evidence: float
+    estimates: tuple[Estimate, ...] = ()
+    closure: Interval | None = None
+    fit: Fit | None = None
+
+    @property
+    def label(self) -> str:
+        return "+".join(self.effects)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All that was found.
+
+    Args:
+        channels: names.
+        present: whether there is a gap beyond noise.
+        p_value: of no gap.
+        chi2_per_dof: of the simulator alone.
+        noise: covariance used.
+        base: the simulator's fit.
+        causes: likeliest first; of a gap of no name, the nearest.
+        unknown: probability of none of the catalogue.
+        chosen: names in the verdict's set.
+        set_probability: of the set.
+        regions, frames: where.
+        onset: time of it, or None.
+        frame: the one sample that the leader concerns, or None.
+        evidence: stage and log evidence of every single effect.
+        unknown_evidence: of a gap of no name.
+        visible: what this design could tell.
+        alike: cosines by pair of causes.
+        likely: the likeliest causes whether or not there is a gap, for what several data sets have in common.
+    """
+
+    channels: tuple[str, ...]
+    present: bool
+    p_value: float
+    chi2_per_dof: float
+    noise: Noise
+    base: Fit
+    causes: tuple[Cause, ...]
+    unknown: float
+    chosen: tuple[str, ...]
+    set_probability: float
+    regions: Place
+    frames: Place
+    onset: float | None
+    frame: int | None
+    evidence: dict[str, tuple[str, float]]
+    unknown_evidence: float
+    visible: tuple[Visible, ...]
+    alike: dict[frozenset[str], float]
+    likely: tuple[Cause, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """none, named, ambiguous or unknown."""
+        if not self.present:
+            return "none"
+        if not self.chosen:
+            return "unknown"
+        return "named" if len(self.chosen) == 1 else "ambiguous"
+
+    @property
+    def stages(self) -> dict[str, float]:
+        """Probability of every stage, of the named causes."""
+        found: dict[str, float] = {}
+        for cause in self.causes:
+            for stage in cause.stages:
+                found[stage] = found.get(stage, 0.0) + cause.probability / len(cause.stages)
+        total = sum(found.values())
+        return {s: p / total for s, p in sorted(found.items(), key=lambda e: -e[1])} if total > 0 else {}

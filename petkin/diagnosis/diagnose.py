@@ -33,6 +33,8 @@ Progress = Callable[[str, float], None]
 _DRAWS, CLAIM = 400, 0.02
 #: Log evidence from which on an explanation's own residual tells the noise better than the first floor.
 _SURE = 5.0
+#: Spreads that differ by less than this are the same.
+_SAME_SPREAD = 0.1
 #: Causes listed at most, and the probability below which none is.
 _LISTED, _NEGLIGIBLE = 8, 0.005
 
@@ -109,16 +111,24 @@ def _explained(
     found = singles(simulator, data, noise, base, scan, always)
     leader = found[0]
     if leader.log_evidence > _SURE and leader.fit is not None:
-        fit = leader.fit
-        least = least_noise(simulator, base.values, noise.spread)
-        quieter = lowered(noise, data - fit.values, fit.jacobian.shape[1], least)
-        if (quieter.size < 0.97 * noise.size).any() or quieter.share < noise.share - 0.05:
+        quieter = _quieter(simulator, data, noise, base, leader.fit)
+        if quieter is not noise:
             noise = quieter
             base = refit(simulator, data, noise, base.state)
             scan = _scan(simulator, noise, base, hypotheses)
             found = again(simulator, data, noise, base, scan, found)
     double = pairs(simulator, data, noise, base, scan, found) if found[0].log_evidence > 1.0 else []
     return _Explained(noise, base, scan, sorted([*found, *double], key=lambda c: -c.log_evidence))
+
+
+def _quieter(simulator: Simulator, data: Array, noise: Noise, base: Fit, fit: Fit) -> Noise:
+    """Noise weighed by what an explanation predicts, and no larger than it leaves; as it was where that is the same."""
+    before, after = (simulator.spread(np.maximum(f.values, 0.0)) for f in (base, fit))
+    weighed = replace(noise, spread=noise.spread * after / before)
+    least = least_noise(simulator, fit.values, weighed.spread)
+    found = lowered(weighed, data - fit.values, fit.jacobian.shape[1], least)
+    same = np.abs(after / before - 1.0).max() < _SAME_SPREAD and (found.size > 0.97 * noise.size).all()
+    return noise if same and found.share > noise.share - 0.05 else found
 
 
 def _verdict(

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 #: Blocks of neighbouring samples; directions that a block determines alone are held to this much of their residual.
 _BLOCKS, _LEAST = 6, 0.15
 _DRAWS = 400
+#: Relative error of the noise's variance, which the floor is proportional to.
+_FLOOR_ERROR = 0.12
 _TAILS = (0.05, 0.95)
 
 
@@ -36,8 +38,8 @@ class Interval:
     high: float
 
 
-def held_out(fit: Fit, shape: tuple[int, int]) -> Array:
-    """Held-out deviance above its floor, by block and channel (B, C).
+def held_out(fit: Fit, shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Held-out deviance and its floor, by block and channel (B, C).
 
     What is left out at once are other blocks of samples in every channel, so that the rest still tells what channels
     share from their neighbours, and what is a channel's own from its other blocks.
@@ -49,21 +51,25 @@ def held_out(fit: Fit, shape: tuple[int, int]) -> Array:
     lever = Projection.of_fit(fit).axes[: fit.residual.size]
     samples = np.arange(shape[1]) * _BLOCKS // shape[1]
     fold = ((samples + np.arange(shape[0])[:, None]) % _BLOCKS).ravel()
-    excess = np.empty(fit.residual.size)
+    deviance, floor = np.empty(fit.residual.size), np.empty(fit.residual.size)
     for rows in (np.flatnonzero(fold == f) for f in range(_BLOCKS)):
         size, axes = np.linalg.eigh(np.eye(rows.size) - lever[rows] @ lever[rows].T)
         size = np.maximum(size, _LEAST)
-        excess[rows] = (axes @ ((axes.T @ fit.residual[rows]) / size)) ** 2 - (axes**2 / size).sum(axis=1)
-    cells = excess.reshape(shape)
-    return np.stack([cells[:, samples == block].sum(axis=1) for block in range(_BLOCKS)])
+        deviance[rows] = (axes @ ((axes.T @ fit.residual[rows]) / size)) ** 2
+        floor[rows] = (axes**2 / size).sum(axis=1)
+    by_block = (samples == np.arange(_BLOCKS)[:, None]).astype(float)
+    return by_block @ deviance.reshape(shape).T, by_block @ floor.reshape(shape).T
 
 
 def closure(without: Fit, with_it: Fit, shape: tuple[int, int], rng: np.random.Generator) -> Interval:
-    """Share of the gap that goes, with an interval from resampling blocks and channels."""
-    before, after = held_out(without, shape).ravel(), held_out(with_it, shape).ravel()
-    picks = rng.integers(0, before.size, (_DRAWS, before.size))
-    drawn = _closure(before[picks].sum(axis=1), after[picks].sum(axis=1))
-    value = float(_closure(before.sum(), after.sum()))
+    """Share of the gap that goes, with an interval from resampling blocks and channels and from the floor's error."""
+    cells = [cell.ravel() for cell in (*held_out(without, shape), *held_out(with_it, shape))]
+    picks = rng.integers(0, cells[0].size, (_DRAWS, cells[0].size))
+    before, low_before, after, low_after = (cell[picks].sum(axis=1) for cell in cells)
+    error = 1.0 + _FLOOR_ERROR * rng.standard_normal(_DRAWS)
+    drawn = _closure(before - error * low_before, after - error * low_after)
+    sums = [cell.sum() for cell in cells]
+    value = float(_closure(sums[0] - sums[1], sums[2] - sums[3]))
     low, high = np.quantile(drawn, _TAILS)
     return Interval(value, min(float(low), value), max(float(high), value))
 

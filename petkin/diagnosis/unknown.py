@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 10, 1.0
-#: Explanations beside which it is looked for, and the prior odds of it against a named one (natural logarithm).
-_BESIDE, _PRIOR = 4, -3.0
+#: Explanations beside which it is looked for.
+_BESIDE = 4
 
 
 class Explanation(Protocol):
@@ -98,4 +98,4 @@ def left_over(times: Array, noise: Noise, ranked: Sequence[Explanation], alone: 
         assert fit is not None
         smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
         found.append(candidate.log_evidence + float(smooth.evidence(fit.residual)))
-    return float(np.logaddexp.reduce(found)) + _PRIOR
+    return float(np.logaddexp.reduce(found))

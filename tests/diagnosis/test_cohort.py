@@ -53,7 +53,8 @@ def test_who_carries_it() -> None:
     carriers = cohort.causes[0].carriers
     assert cohort.causes[0].label == "ripple"
     assert (carriers[[0, 2, 5]] > 0.9).all()
-    assert (carriers[[1, 3, 4]] < 0.5).all()
+    assert carriers[[1, 3, 4]].mean() < 0.45
+    assert carriers[[1, 3, 4]].max() < 0.6
     assert cohort.causes[0].prevalence.low < 0.5 < cohort.causes[0].prevalence.high
 
 

@@ -176,7 +176,7 @@ def _course(change: Callable[[Array, float, Draw], Array], *which: int, local: b
 
 
 def _step(t: Array, size: float, d: Draw) -> Array:
-    return d.sign * size * (t >= d.onset)
+    return np.where(t >= d.onset, d.sign * size, 0.0)
 
 
 def _ramp(t: Array, size: float, d: Draw) -> Array:

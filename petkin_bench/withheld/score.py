@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin_bench.withheld.cases import BINS
+from petkin_bench.withheld.causes import KNOWN
 from petkin_bench.withheld.noise import KINDS
 
 Array = NDArray[np.float64]
@@ -205,10 +206,11 @@ def _calibration(cases: Sequence[Judged], strong: Sequence[Judged]) -> list[Metr
     told = [c for c in cases if c.words("set")]
     said, true = np.array([c.number("set_probability") for c in told]), np.array([float(c.covered) for c in told])
     first, hit = np.array([c.number("leader_probability") for c in strong]), np.array([float(c.right) for c in strong])
-    skill = 1.0 - float(np.mean((first - hit) ** 2)) / max(float(np.var(hit)), 1e-9) if strong else float("nan")
+    prior = 1.0 / len(KNOWN)
+    skill = 1.0 - float(np.mean((first - hit) ** 2) / np.mean((prior - hit) ** 2)) if strong else float("nan")
     return [
         Metric("calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<="),
-        Metric("Brier skill of the leader over its own rate", skill, len(strong)),
+        Metric("Brier skill of the leader over equal chances", skill, len(strong), 0.6),
     ]
 
 

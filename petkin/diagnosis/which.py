@@ -170,3 +170,45 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
 
 def _log_volume(jacobian: Array, penalty: Array) -> float:
     return float(np.linalg.slogdet(jacobian.T @ jacobian + np.diag(penalty))[1])
+<<<<<<< HEAD
+=======
+
+
+def pairs(
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, scan: Scan, leaders: Sequence[Candidate]
+) -> list[Candidate]:
+    """The leaders with the best second effect that their residual asks for, fully refitted; best first.
+
+    Templates stay those around the simulator's own fit; only what they are projected off is each leader's.
+    """
+    wanted: dict[tuple[str, ...], tuple[float, Candidate, Term]] = {}
+    best = leaders[0].log_evidence
+    for leader in [c for c in leaders if c.fit is not None and c.log_evidence > best - _WITHIN / 2][:_LEADERS]:
+        fit = leader.fit
+        assert fit is not None
+        others = [t for t in scan.templates if t.hypothesis.name not in leader.names]
+        beside = Scan(others, Projection.of_fit(fit), None)
+        each = beside.each(fit.residual)
+        for name, value in beside.by_hypothesis(each).items():
+            key = tuple(sorted((*leader.names, name)))
+            term = start(beside, fit.residual, each, name)
+            score = leader.log_evidence + float(value) + term.hypothesis.log_odds
+            if key not in wanted or score > wanted[key][0]:
+                wanted[key] = (score, leader, term)
+    likely = sorted(wanted.values(), key=lambda entry: -entry[0])[:_PAIRS]
+    found = []
+    for score, leader, term in likely:
+        if score - _SECOND < best - _PAIR_WITHIN:
+            continue
+        assert leader.fit is not None
+        pair = refitted(simulator, data, noise, base, (*leader.terms, term), leader.fit)
+        assert pair.fit is not None
+        second = _after_refit(leader.fit, pair.fit, len(simulator.channels), len(leader.fit.state.terms))
+        found.append(replace(pair, log_evidence=leader.log_evidence + second + term.hypothesis.log_odds - _SECOND))
+    return sorted(found, key=lambda c: -c.log_evidence)
+
+
+def smooth_columns(noise: Noise, fit: Fit, times: Array) -> Array:
+    """Whitened columns of the smooth discrepancy."""
+    return noise.whiten(discrepancies(fit.values, times)).T
+>>>>>>> 2c15950 (wip2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from petkin.reporting.canvas import DATA_INK, FIT_INK, QUIET, Picture, drawable, drawing, new_figure, picture
 from petkin.reporting.canvas import square_root_time as spread_early
-from petkin.reporting.contents import RegionCurves
+from petkin.reporting.contents import MapSet, RegionCurves
 from petkin.reporting.html import environment
+from petkin.reporting.map_figures import signed_picture
 
 Array = NDArray[np.float64]
 
 _LIMIT = 4.0
+#: Colours of the voxel map end here; beyond the second, noise alone seldom comes.
+_BRAIN_LIMIT, _CLEAR = 6.0, 3.0
 _SHOWN = 6
 _BEFORE = "#3f7cac"
 
@@ -32,6 +35,7 @@ class GapReport:
         residual, residual_after: in units of the noise (R, K).
         alike: pairs of causes and their cosine.
         visible: every hypothesis with d' at the end of its range, share kept by the refit, and its likeliest double.
+        gap_map: z of every voxel; None without an image.
         shown: effects that the sidecar itself speaks for, and why.
         scan: label and value.
         warnings: what was odd about the files.
@@ -48,6 +52,7 @@ class GapReport:
     alike: tuple[tuple[tuple[str, ...], float], ...]
     visible: tuple[tuple[str, float, float, tuple[tuple[str, float], ...]], ...]
     shown: tuple[tuple[str, str], ...]
+    gap_map: MapSet | None
     scan: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
     command_line: str
@@ -60,10 +65,21 @@ def render_gap_report(report: GapReport) -> str:
         if report.residual_after is not None:
             heat.append(_heat(report, report.residual_after, "after"))
         pictures = [_curve(report, r) for r in _most_changed(report)]
+        brain = None if report.gap_map is None else _brain(report.gap_map)
         bars = _bars(report) if report.answer["causes"] else None
-        return environment().get_template("gap_report.html.j2").render(
-            report=report, answer=report.answer, heat=heat, curves=pictures, bars=bars, grade=_grade(report.answer)
-        )  # fmt: skip
+        return (
+            environment()
+            .get_template("gap_report.html.j2")
+            .render(
+                report=report,
+                answer=report.answer,
+                heat=heat,
+                curves=pictures,
+                bars=bars,
+                brain=brain,
+                grade=_grade(report.answer),
+            )
+        )
 
 
 def _grade(answer: dict[str, Any]) -> str:
@@ -73,6 +89,18 @@ def _grade(answer: dict[str, Any]) -> str:
 def _most_changed(report: GapReport) -> list[int]:
     energy = (report.residual**2).sum(axis=1)
     return sorted(np.argsort(-energy, kind="stable")[:_SHOWN].tolist())
+
+
+def _brain(maps: MapSet) -> Picture:
+    """The gap voxel by voxel, in three planes."""
+    z = maps.maps[0].value
+    beyond = float(np.mean(np.abs(z[maps.inside]) > _CLEAR))
+    alt = (
+        f"Gap by voxel, z of the leading cause's course after the refit: {beyond:.1%} beyond {_CLEAR:g} "
+        f"(0.3 % expected of noise alone)."
+    )
+    shown = signed_picture(maps, maps.maps[0], _BRAIN_LIMIT, alt=alt)
+    return replace(shown, heading="Gap by voxel", caption=alt)
 
 
 def _heat(report: GapReport, residual: Array, when: str) -> Picture:

@@ -20,7 +20,7 @@ from petkin.reporting.verdict import status_counts
 from petkin.reporting.wording import count, number, percent, round_values, status_short, symbol_svg, unit_text
 
 #: Perceptually uniform, ordered in grey, safe for colour-blind readers (Smith & van der Walt 2015; Nunez et al. 2018).
-_VALUE_COLOURS, _ERROR_COLOURS = "viridis", "cividis"
+_VALUE_COLOURS, _ERROR_COLOURS, _SIGNED_COLOURS = "viridis", "cividis", "RdBu_r"
 #: Colours of a scale; behind them in a palette come those of a voxel without a value and of none.
 _COLOURS = 254
 _NO_VALUE, _OUTSIDE = (184, 184, 184, 255), (255, 255, 255, 0)
@@ -102,6 +102,13 @@ def error_picture(maps: MapSet, entry: ParameterMap) -> Picture:
     scale = _scale(finite, 0.0, high if high > 0 else 1.0, _ERROR_COLOURS)
     alt = _describe_error(entry, ordered(values[maps.status == Status.OK]))
     return _coloured(maps, values, scale, Markup("SE of ") + symbol_svg(entry.symbol, " (%)"), alt=alt, zoom=1.0)
+
+
+def signed_picture(maps: MapSet, entry: ParameterMap, limit: float, *, alt: str) -> Picture:
+    """Planes of values of either sign, coloured from -limit to limit."""
+    values = np.asarray(entry.value)
+    scale = _scale(ordered(values), -limit, limit, _SIGNED_COLOURS)
+    return _coloured(maps, values, scale, symbol_svg(entry.symbol, ""), alt=alt, zoom=_ZOOM)
 
 
 def status_picture(maps: MapSet) -> Picture:

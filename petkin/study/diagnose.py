@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis, Member, Visible, diagnose, foresee_design, in_common
 from petkin.effects import EFFECTS
 from petkin.errors import InputError
+from petkin.fitting import Status
 from petkin.imaging import FrameObservation
 from petkin.io import (
     AtomicFolder,
@@ -20,16 +22,28 @@ from petkin.io import (
     read_regions,
     require_cover,
     write_bytes,
+    write_map,
     write_text,
 )
-from petkin.io.names import cohort_report_path, report_path
-from petkin.reporting import CohortReport, GapReport, RegionCurves, render_cohort_report, render_gap_report
+from petkin.io.names import cohort_report_path, map_path, report_path
+from petkin.reporting import (
+    CohortReport,
+    GapReport,
+    MapSet,
+    ParameterMap,
+    RegionCurves,
+    render_cohort_report,
+    render_gap_report,
+)
 from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.blood import recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
+from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
+from petkin.study.diagnosis.imaged import look_at_image, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.request import DiagnoseRequest
-from petkin.study.diagnosis.sidecar import blunders
+from petkin.study.diagnosis.sidecar import Blunder, blunders
+from petkin.study.fit_report import directions
 from petkin.study.fit_scan import Progress
 from petkin.study.outputs import require_own_folder, write_study_description
 from petkin.study.reading import read_sources
@@ -76,42 +90,65 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             progress(f"{label}: {step}", (i + done) / len(scans))
 
         started = time.process_time()
-        shown = blunders(source.sidecar)
-        found = diagnose(
-            simulator,
-            curves.values,
-            hypotheses(
-                EFFECTS,
-                simulator,
-                without=frozenset(request.without),
-                log_odds={b.effect: b.odds for b in shown},
-            ),
-            always=ALWAYS | {b.effect for b in shown},
-            seed=request.seed,
-            progress=here,
-        )
+        one = _diagnosed(source, curves, simulator, request, here)
         seconds = time.process_time() - started
         text = answer(
-            found,
+            one.found,
             simulator,
             subject=source.label,
             model=simulator.label,
             seed=request.seed,
             seconds=round(seconds, 2),
-            shown=shown,
+            shown=one.shown,
         )
-        report = _report(source, curves, simulator, found, text, request)
+        report = _report(source, curves, simulator, one, text, request)
         relative = report_path(source.entities, desc="gap")
         with AtomicFolder(out) as folder:
             write_study_description(folder, name, out=out, raw=request.target)
             write_text(folder.path(relative.with_suffix(".json")), json_text(text))
             write_bytes(folder.path(relative), render_gap_report(report).encode())
+            if one.gap is not None and source.image is not None:
+                path = map_path(source.entities, simulator.label, desc="gapz")
+                write_map(folder.path(path), one.gap, source.image.affine, gap_map_sidecar(one.found))
         written.append(Diagnosed(source.label, text, out / relative))
-        members.append(Member.of(source.label, found))
+        members.append(Member.of(source.label, one.found))
     if len(members) > 1:
         written.append(_cohort(members, written, out, name, request))
     progress("done", 1.0)
     return tuple(written)
+
+
+@dataclass(frozen=True)
+class _One:
+    """A scan's diagnosis, what its sidecar shows, and the gap voxel by voxel where there is an image."""
+
+    found: Diagnosis
+    shown: tuple[Blunder, ...]
+    gap: NDArray[np.float32] | None
+
+
+def _diagnosed(
+    source: Source, curves: RegionalCurves, simulator: RegionalSimulator, request: DiagnoseRequest, progress: Progress
+) -> _One:
+    """The sidecar first, then the image, then the regions, each with what came before."""
+    shown = blunders(source.sidecar)
+    candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
+    progress("looking at the image", 0.0)
+    imaged = look_at_image(source, curves, simulator, frozenset(h.name for h in candidates), seed=request.seed)
+    odds = imaged.log_odds if imaged is not None else {}
+    odds |= {b.effect: b.odds + odds.get(b.effect, 0.0) for b in shown}
+    found = diagnose(
+        simulator,
+        curves.values,
+        tuple(replace(h, log_odds=odds.get(h.name, 0.0)) for h in candidates),
+        always=ALWAYS | {name for name, value in odds.items() if value > 0},
+        seed=request.seed,
+        progress=progress,
+    )
+    if imaged is None:
+        return _One(found, shown, None)
+    found = weighed(found, imaged.looked) if imaged.looked is not None else found
+    return _One(found, shown, gap_map(imaged.voxels, found, simulator.clock))
 
 
 def _cohort(
@@ -225,11 +262,11 @@ def _report(
     source: Source,
     curves: RegionalCurves,
     simulator: RegionalSimulator,
-    found: Diagnosis,
+    one: _One,
     text: dict[str, Any],
     request: DiagnoseRequest,
 ) -> GapReport:
-    shape = curves.values.shape
+    shape, found = curves.values.shape, one.found
     leader = found.causes[0].fit if found.causes else None
     return GapReport(
         title=f"{source.label}: where the simulator and the scan part",
@@ -241,8 +278,18 @@ def _report(
         residual_after=None if leader is None else leader.residual.reshape(shape),
         alike=tuple(sorted((tuple(sorted(pair)), c) for pair, c in found.alike.items())),
         visible=tuple((v.hypothesis.name, v.detectability, v.kept, v.partners[:1]) for v in found.visible),
-        shown=tuple((b.effect, b.why) for b in blunders(source.sidecar)),
+        shown=tuple((b.effect, b.why) for b in one.shown),
+        gap_map=_gap_map(source, one),
         scan=source.facts,
         warnings=tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks])),
         command_line=request.command_line,
     )
+
+
+def _gap_map(source: Source, one: _One) -> MapSet | None:
+    """The voxel map as a report draws maps."""
+    if one.gap is None or source.image is None:
+        return None
+    status = np.where(np.isfinite(one.gap), Status.OK, Status.OUTSIDE).astype(np.uint8)
+    x, y, z = (float(edge) for edge in source.image.voxel_mm)
+    return MapSet((ParameterMap("z", "", one.gap),), status, (x, y, z), directions(source.image.affine))

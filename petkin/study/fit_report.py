@@ -153,13 +153,13 @@ def _maps(result: FitResult, fit: ScanFit) -> MapSet:
         status=result.status,
         mask=voxels.mask,
         voxel_mm=mm,
-        axes=_axes(voxels.series.affine),
+        axes=directions(voxels.series.affine),
         settings=result.settings,
         remarks=result.remarks,
     )
 
 
-def _axes(affine: NDArray[np.float64]) -> str:
+def directions(affine: NDArray[np.float64]) -> str:
     """Direction of rising index along each array axis; "" where one of them has none."""
     codes = nib.aff2axcodes(affine)
     return "" if None in codes else "".join(map(str, codes))

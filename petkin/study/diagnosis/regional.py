@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -178,8 +178,8 @@ def effect_of(hypothesis: Hypothesis) -> Effect:
     return effect_named(hypothesis.name)
 
 
-def hypothesis_of(effect: Effect, simulator: RegionalSimulator, log_odds: float = 0.0) -> Hypothesis:
-    """An effect as a hypothesis about this simulator, with what is known of it before the data."""
+def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
+    """An effect as a hypothesis about this simulator."""
     amplitude = effect.amplitude
     first, last = _onset_bounds(simulator.clock)
     shapes = [
@@ -201,7 +201,6 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator, log_odds: float 
         by_channel=bool(effect.regional),
         flag=effect.flag,
         split_by=effect.split_by,
-        log_odds=log_odds,
     )
 
 
@@ -210,7 +209,7 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
     for parameter in effect.parameters.members[1:]:
         values = effect.grid.get(parameter.symbol, ())
         if parameter.symbol == "onset":
-            values = _onsets(clock, _TISSUE_ONSETS if effect.stage == "tissue" else _SCANNER_ONSETS)
+            values = onsets(clock, _TISSUE_ONSETS if effect.stage == "tissue" else _SCANNER_ONSETS)
         elif parameter.symbol == "frame":
             values = tuple(float(k) for k in range(len(clock.frames)))
         if values:
@@ -218,7 +217,7 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
     return tuple(found)
 
 
-def _onsets(clock: FrameObservation, most: int) -> tuple[float, ...]:
+def onsets(clock: FrameObservation, most: int) -> tuple[float, ...]:
     """Starts and middles of frames after the bolus has passed, without the last, thinned to so many."""
     frames = clock.frames
     times = np.sort(np.concatenate([frames.start[1:], frames.mid[1:-1]]))
@@ -233,22 +232,12 @@ def _onset_bounds(clock: FrameObservation) -> tuple[float, float]:
 
 
 def hypotheses(
-    candidates: Sequence[Effect],
-    simulator: RegionalSimulator,
-    *,
-    without: frozenset[str],
-    log_odds: Mapping[str, float] | None = None,
+    candidates: Sequence[Effect], simulator: RegionalSimulator, *, without: frozenset[str]
 ) -> tuple[Hypothesis, ...]:
-    """All effects that may be missing: not included, not withheld, and possible for this simulator.
-
-    `log_odds` is what is known of some before the data, by name.
-    """
+    """All effects that may be missing: not included, not withheld, and possible for this simulator."""
     model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
     known = {e.name for e in simulator.includes} | without
-    odds = log_odds or {}
-    return tuple(
-        hypothesis_of(e, simulator, odds.get(e.name, 0.0)) for e in candidates if e.name not in known and e.suits(model)
-    )
+    return tuple(hypothesis_of(e, simulator) for e in candidates if e.name not in known and e.suits(model))
 
 
 def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0) -> Array:

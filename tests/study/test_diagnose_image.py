@@ -1,0 +1,98 @@
+"""Spatial effects of a 4-D image, made here by moving and blurring voxels: named, sized in mm, mapped."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import jsonschema
+import nibabel as nib
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, shift
+
+from petkin.study.diagnose import Diagnosed, diagnose_study
+from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.simulate import simulate
+from petkin.study.simulation import SimulationSettings
+
+SCHEMA = json.loads((files("petkin.reporting") / "schemas" / "gap-report-1.json").read_text())
+VOXEL, ONSET_MIN, NOISE = 4.0, 30.0, 0.10
+INCLUDES = ("blood_volume", "arterial_delay")
+
+
+def noise_free(folder: Path) -> tuple[Path, Path]:
+    usual = {"out": folder / "study", "noise": 0.0, "voxel_size": VOXEL, "tracer": "reversible"}
+    study = simulate(SimulationSettings.model_validate(usual))
+    return study, study / "sub-01/pet/sub-01_pet.nii.gz"
+
+
+def spoilt(folder: Path, *, fwhm: float = 0.0, moved_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Path:
+    """A study whose head is blurred, and moves once at 30 min; with noise of counts."""
+    study, path = noise_free(folder)
+    image = nib.load(path)
+    values = np.asarray(image.dataobj, np.float64)
+    sidecar = json.loads(path.with_name("sub-01_pet.json").read_text())
+    start, duration = np.array(sidecar["FrameTimesStart"]), np.array(sidecar["FrameDuration"])
+    rng = np.random.default_rng(3)
+    size = NOISE * np.sqrt(values.mean(axis=3).max() * 300.0 / duration)
+    for k, frame in enumerate(np.moveaxis(values, -1, 0)):
+        seen = gaussian_filter(frame, fwhm / 2.3548 / VOXEL) if fwhm else frame
+        if start[k] >= 60 * ONSET_MIN - 1:
+            seen = shift(seen, np.array(moved_mm) / VOXEL, order=1)
+        values[..., k] = seen + size[k] * np.sqrt(np.maximum(seen, 0.02 * seen.max())) * rng.standard_normal(seen.shape)
+    nib.save(nib.Nifti1Image(values.astype(np.float32), image.affine), path)
+    return study
+
+
+def diagnosed(study: Path, out: Path, **options: object) -> Diagnosed:
+    (one,) = diagnose_study(DiagnoseRequest(study, out=out, include=INCLUDES, **options))  # type: ignore[arg-type]
+    return one
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
+    """3 mm along y, in an image without blur to speak of."""
+    folder = tmp_path_factory.mktemp("moved")
+    return diagnosed(spoilt(folder, moved_mm=(0.0, 3.0, 0.0)), folder / "out")
+
+
+def test_motion_is_named_with_its_size_and_onset(moved: Diagnosed) -> None:
+    answer = moved.answer
+    jsonschema.validate(answer, SCHEMA)
+    assert "motion_step" in answer["verdict"]["set"][0]
+    leader = answer["causes"][0]
+    assert leader["estimate"]["amplitude"]["unit"] == "mm"
+    assert leader["estimate"]["amplitude"]["value"] == pytest.approx(3.0, abs=1.0)
+    assert leader["estimate"]["onset_min"]["value"] == pytest.approx(ONSET_MIN, abs=3.0)
+    assert {stage["stage"] for stage in answer["where"]["stages"]} >= {"imaging"}
+
+
+def test_the_map_shows_edges_of_both_signs(moved: Diagnosed) -> None:
+    path = next(moved.report.parent.glob("*_desc-gapz_mimap.nii.gz"))
+    z = np.asarray(nib.load(path).dataobj)
+    inside = np.isfinite(z)
+    assert inside.any()
+    assert not inside.all()
+    assert z[inside].max() > 5
+    assert z[inside].min() < -5
+    sidecar = json.loads(path.with_name(path.name.replace(".nii.gz", ".json")).read_text())
+    assert "motion_step" in sidecar["Cause"]
+    assert "Gap by voxel" in moved.report.read_text()
+
+
+def test_blur_is_named_with_its_width(tmp_path: Path) -> None:
+    answer = diagnosed(spoilt(tmp_path, fwhm=8.0), tmp_path / "out").answer
+    assert "partial_volume" in answer["verdict"]["set"][0]
+    estimate = answer["causes"][0]["estimate"]["amplitude"]
+    assert estimate["unit"] == "mm"
+    assert estimate["value"] == pytest.approx(8.0, abs=1.5)
+    assert estimate["low"] < 8.0 < estimate["high"]
+
+
+def test_an_image_in_order_has_no_gap_and_a_map_of_noise(tmp_path: Path) -> None:
+    one = diagnosed(spoilt(tmp_path), tmp_path / "out")
+    assert one.answer["verdict"]["kind"] == "none"
+    z = np.asarray(nib.load(next(one.report.parent.glob("*_desc-gapz_mimap.nii.gz"))).dataobj)
+    assert np.nanstd(z) == pytest.approx(1.0, abs=0.15)

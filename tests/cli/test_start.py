@@ -18,7 +18,7 @@ _NOT_NEEDED = (
     *("sympy", "scipy.special", "scipy.stats", "scipy.interpolate", "scipy.optimize", "scipy.ndimage", "torchdiffeq"),
     *("matplotlib", "distributed", "petkin.effects", "petkin.phantoms", "petkin.hybrid", "petkin.diagnosis"),
 )
-#: Processor time from the first line of code to the first that fits; about 1.5 s where nothing else runs.
+#: Processor time from the first line of code to the first that fits; 2.0 s on a machine that was busy otherwise.
 _AT_MOST_S = 6.0
 _FIT = """
 import json, sys, time

@@ -14,7 +14,7 @@ def quantile(chance: float, numerator: float, denominator: float) -> float:
 
 
 def exceeded(value: ArrayLike, numerator: float, denominator: float) -> NDArray:
-    """The chance that F with so many degrees of freedom exceeds a value; 1 for values below zero, as rounding leaves."""
+    """The chance that F with so many degrees of freedom exceeds a value; 1 below zero, as rounding leaves."""
     from scipy.special import fdtrc
 
     return fdtrc(numerator, denominator, np.maximum(value, 0.0))

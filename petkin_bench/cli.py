@@ -267,6 +267,7 @@ def real_scans(
 def forecast(
     data: Annotated[Path, typer.Option(help="PET-BIDS study with regional curves and blood.")],
     seg: Annotated[str | None, typer.Option(help="Which table of curves, by its seg- label.")] = None,
+    session: Annotated[list[str] | None, typer.Option(help="Only this session; repeatable.")] = None,
     results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
 ) -> None:
     """Forecast the withheld later half of real curves, each person by what the scans of the others teach.
@@ -281,10 +282,11 @@ def forecast(
 
     torch.set_num_threads(1)
     with progress_bar() as step:
-        rows = measure_forecasts(read_scans(data, seg), step)
+        rows = []
+        for some in measure_forecasts(read_scans(data, seg, tuple(session or ())), step):
+            append_rows("forecast", [row | {"study": data.resolve().name} for row in some], results or RESULTS)
+            rows += some
     typer.echo(summary(rows).to_string())
-    kept = [row | {"study": data.resolve().name} for row in rows]
-    typer.echo(f"Appended to {append_rows('forecast', kept, results or RESULTS)}")
 
 
 @app.command()

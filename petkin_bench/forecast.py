@@ -9,7 +9,7 @@ is estimated from those frames as well; the blood is known until the end of the 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,13 +71,13 @@ class Scan:
     seen: NDArray[np.bool_]
 
 
-def read_scans(folder: Path, seg: str | None = None) -> tuple[Scan, ...]:
-    """Scans of a study, those with the most usual number of frames, in the regions that all have.
+def read_scans(folder: Path, seg: str | None = None, sessions: tuple[str, ...] = ()) -> tuple[Scan, ...]:
+    """Scans of a study, those with the most usual number of frames, in regions that all have.
 
     Raises:
         InputError: no such study, or no scan with curves and blood.
     """
-    request = FitRequest(folder, level="region", seg=seg, models=("1TCM",))
+    request = FitRequest(folder, level="region", seg=seg, sessions=sessions, models=("1TCM",))
     sources = [source for source in read_sources(request)[2] if source.curves is not None]
     if not sources:
         raise InputError(f"{folder}: no scan has regional curves to forecast.")
@@ -107,19 +107,21 @@ def _scan(source: Source, request: FitRequest, regions: tuple[str, ...]) -> Scan
 
 def measure_forecasts(
     scans: tuple[Scan, ...], progress: Callable[[str, float], None] = lambda what, share: None
-) -> list[dict[str, object]]:
-    """One row a curve and way of forecasting: relative error over the withheld frames, root mean square and mean."""
+) -> Iterator[list[dict[str, object]]]:
+    """One row a curve and way of forecasting, person by person: relative error over the withheld frames, root mean
+    square and mean."""
     conditions = Conditions.of([s.known for s in scans], torch.eye(len(scans)), highest=_HIGHEST)
     people = sorted({scan.person for scan in scans})
-    rows = [row for scan in scans for label in FITS for row in _rows(scan, f"fit_{label}", _fit(scan, label))]
     for i, person in enumerate(people):
+        own = [scan for scan in scans if scan.person == person]
+        rows = [row for scan in own for label in FITS for row in _rows(scan, f"fit_{label}", _fit(scan, label))]
         for j, (name, dynamics, sees) in enumerate(LEARNED):
             progress(f"{person} {name}", (i + j / len(LEARNED)) / len(people))
             start = time.process_time()
             found = _learned(scans, conditions, person, dynamics, sees)
             spent = {"cpu_s": time.process_time() - start}
             rows += [row | spent for scan, values in found for row in _rows(scan, name, values)]
-    return rows
+        yield rows
 
 
 def _fit(scan: Scan, label: str) -> Array:

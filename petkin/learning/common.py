@@ -25,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from petkin.dynamics import VectorField
-from petkin.errors import InputError
+from petkin.errors import InputError, NumericalError
 from petkin.hybrid import HybridField, HyperNetwork, Settings, Task, learning_rate, load_tensors, save_tensors
 from petkin.hybrid.checkpoint import below, optimiser_tensors, restore_optimiser, write_log
 
@@ -126,6 +126,7 @@ def learn(
 
     Raises:
         InputError: what is kept is of another run.
+        NumericalError: it left the numbers.
     """
     generator = torch.Generator().manual_seed(settings.seed)
     spread = _START * torch.randn(len(curves.values), common.code, generator=generator)
@@ -194,6 +195,8 @@ class _Descent:
             group["lr"] = scale * learning_rate(self.step, settings)
         self.optimiser.zero_grad(set_to_none=True)
         total, misfit = cost(self.u)
+        if not bool(torch.isfinite(total)):
+            raise NumericalError(f"Step {self.step + 1} held numbers that are not finite; try another seed.")
         total.backward()
         if self.weights:
             torch.nn.utils.clip_grad_norm_(self.weights, settings.clip)

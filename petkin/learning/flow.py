@@ -30,6 +30,8 @@ from petkin.learning.responses import Responses
 
 #: Newton's method ends where no state moves by more than this (in the curve's unit) or after so many passes.
 _TOLERANCE, _PASSES = 1e-2, 12
+#: Largest slope of f times the later weight of a step.
+_MOST = 0.5
 
 Layers = tuple[tuple[Tensor, Tensor], ...]
 
@@ -140,7 +142,12 @@ class _Steps:
     def solve(
         self, value: Float[Tensor, "r *b N"], jacobian: Float[Tensor, "r r *b N"], off: Float[Tensor, "r *b N"]
     ) -> Float[Tensor, "r *b N"]:
-        """R at the nodes for f = value + jacobian (off + R), off = C_linear minus where f was taken."""
+        """R at the nodes for f = value + jacobian (off + R), off = C_linear minus where f was taken.
+
+        An f that feeds back on itself within one step is followed with a smaller slope: Newton's method would leave
+        the numbers before f reaches its bound.
+        """
+        jacobian = torch.minimum(jacobian, _MOST / torch.nn.functional.pad(self.late, (1, 0), value=1e-3)[:, None])
         straight = value + _times(jacobian, off)
         one = torch.eye(len(value), dtype=value.dtype, device=value.device).reshape(
             len(value), len(value), *[1] * (value.ndim - 1)

@@ -45,7 +45,7 @@ def scans() -> tuple[Scan, ...]:
 def test_every_curve_is_forecast_in_every_way_from_what_is_seen(monkeypatch):
     monkeypatch.setattr(forecast, "_LEARN", Settings(steps=4, rate=1e-2))
     monkeypatch.setattr(forecast, "_IDENTIFY", Settings(steps=4, rate=1e-2))
-    rows = measure_forecasts(scans())
+    rows = [row for some in measure_forecasts(scans()) for row in some]
     found = summary(rows)
     assert set(found.index) == {"fit_1TCM", "fit_2TCM", *(name for name, *_ in forecast.LEARNED)}
     assert len(rows) == 6 * len(found)

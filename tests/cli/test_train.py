@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -11,6 +13,8 @@ from petkin.cli.app import app
 from petkin.errors import InputError
 from petkin.fitting import Choices
 from petkin.methods import check_choices, find_method
+
+from .conftest import Ran
 
 
 def train(*arguments: object):
@@ -49,3 +53,23 @@ def test_a_learned_model_and_its_checkpoint_go_together(tmp_path):
     ):
         with pytest.raises(InputError, match="go together"):
             check_choices(methods, choices)
+
+
+def test_what_was_learned_fits_a_study(study: Path, petkin_command: Callable[..., Ran], tmp_path: Path):
+    path, out = tmp_path / "tracer.safetensors", tmp_path / "out"
+    ran = petkin_command(
+        "train", path, "--subjects", 2, "--frames", "2x30,1x60,1x180,8x300", "--isotope", "C11", "--steps", 5
+    )
+    assert (ran.status, ran.err) == (0, "")
+    nothing = petkin_command("train", tmp_path / "b.safetensors", "--from", study)
+    assert nothing.status == 2
+    assert nothing.err.count("\n") == 1
+    ran = petkin_command("fit", study, "--model", "hybrid", "--checkpoint", path, "--level", "region", "--out", out)
+    assert ran.status == 0, ran.err
+    table = pd.read_csv(next(out.rglob("*model-hybrid_kinpar.tsv")), sep="\t")
+    assert {"K1", "k2", "VB", "VT"} <= set(table)
+    assert "Learned correction against tissue" in next(out.rglob("*report.html")).read_text()
+    refused = petkin_command("fit", study, "--model", "hybrid", "--checkpoint", path, "--out", out)
+    assert refused.status == 2
+    assert "hybrid" in refused.err
+    assert refused.err.count("\n") == 1

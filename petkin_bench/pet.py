@@ -1,9 +1,9 @@
 """The PET table: tissue curves of which one tissue compartment is known, identified from other scans of the tissue.
 
-100 subjects of five regions, 20 scans each with other inputs, split by subjects 60/20/20; the last four scans of the
-training subjects are not trained on. A scan is predicted from what k = 7 others of its subject tell, and judged by the
-truth. Beside the learned models stand the fits that they compete with: of the scan itself, and of the mean of the same
-seven others, each on data with and without noise.
+60 subjects of five regions to learn from and 20 unseen ones, 20 scans each with other inputs (the paper's split without
+its validation subjects); the last four scans of the training subjects are not trained on. A scan is predicted from what
+k = 7 others of its subject tell, and judged by the truth. Beside the learned models stand the fits that they compete
+with: of the scan itself, and of the mean of the same seven others, each on data with and without noise.
 """
 
 from __future__ import annotations

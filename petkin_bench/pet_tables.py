@@ -20,8 +20,8 @@ def compare_pet(results: Path, preset: str) -> pd.DataFrame:
     path = results / f"{FILE}.csv"
     if not path.is_file():
         return pd.DataFrame()
-    rows = pd.read_csv(path, keep_default_na=False).query("preset == @preset")
-    rows[list(_METRICS)] = rows[list(_METRICS)].astype(float)
+    rows = pd.read_csv(path).query("preset == @preset")
+    rows = rows.assign(sees=rows["sees"].fillna(""))
     if rows.empty:
         return rows
     columns = {m: (m, "mean") for m in _METRICS} | {f"{m}_spread": (m, "std") for m in _METRICS}

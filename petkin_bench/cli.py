@@ -242,6 +242,40 @@ def tables(
             typer.echo(path)
 
 
+@app.command()
+def diagnose(
+    system: Annotated[str, typer.Option(help="pendulum, mass_spring or bouncing_ball.")],
+    effect: Annotated[str | None, typer.Option(help="NAME or NAME=SHARE of its range; default: the catalogue.")] = None,
+    trials: Annotated[int, typer.Option(help="Runs from starts of their own.", min=1)] = 3,
+    noise: Annotated[float, typer.Option(help="Of a place, in units of the picture's half.", min=1e-6)] = 0.01,
+    seed: Annotated[int, typer.Option(help="Of starts, parameters and noise.", min=0)] = 0,
+    single_flight: Annotated[bool, typer.Option("--single-flight", help="Watch briefly, without walls.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the answer about one effect.")] = None,
+) -> None:
+    """Put one effect into runs of a physics system and ask the engine of `petkin diagnose` what is missing.
+
+    With --effect, one case whose answer is printed (and written); without, every effect of the catalogue at half of its
+    range and as many runs without any, appended to petkin_bench/results/moving_bodies.csv.
+    """
+    from petkin_bench.gaps import find_body, withheld
+    from petkin_bench.provenance import append_rows
+
+    body = withheld.single_flight(find_body(system)) if single_flight else find_body(system)
+    if effect is None:
+        rows = withheld.measure_body(body, share=0.5, trials=trials, noise=noise, seed=seed)
+        for row in rows:
+            typer.echo(f"{row['effect'] or 'nothing':20} d' {row['d_prime']:8}  {row['kind']:10} {row['set']}")
+        typer.echo(f"Appended to {append_rows('moving_bodies', [row | {'seed': seed} for row in rows])}")
+        return
+    answer = withheld.one_case(body, effect, trials=trials, noise=noise, seed=seed)
+    typer.echo(answer["verdict"]["sentence"])
+    if out is not None:
+        from petkin.io import json_text, write_text
+
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(out / f"{answer['subject']}_desc-gap_report.json", json_text(answer))
+
+
 @app.command("real-scans")
 def real_scans(
     data: Annotated[Path, typer.Option(help="PET-BIDS study with regional curves and blood.")],

@@ -3,18 +3,13 @@
 from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
 from petkin.diagnosis.contrasts import Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.design import Visible, indistinct
-<<<<<<< HEAD
-from petkin.diagnosis.diagnose import diagnose, foresee_design
-from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
-from petkin.diagnosis.refit import State
-from petkin.diagnosis.verdict import Cause, Diagnosis
-=======
-from petkin.diagnosis.diagnose import CLAIM, Cause, Diagnosis, Estimate, diagnose, foresee_design
+from petkin.diagnosis.diagnose import CLAIM, diagnose, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
 from petkin.diagnosis.noise import Noise, second_differences
-from petkin.diagnosis.refit import Fit, State, linearised
+from petkin.diagnosis.nominal import base_fit
+from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import smallest_set
->>>>>>> 2c15950 (wip2)
+from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate
 
 __all__ = [
     "CLAIM",
@@ -35,12 +30,13 @@ __all__ = [
     "State",
     "Term",
     "Visible",
+    "base_fit",
     "diagnose",
     "foresee_design",
     "in_common",
     "indistinct",
     "judge_contrasts",
-    "linearised",
+    "of_nuisance",
     "second_differences",
     "smallest_set",
 ]

@@ -92,10 +92,10 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
         each = second.each(fit.residual)
         for name, value in second.by_hypothesis(each).items():
             key = tuple(sorted((*leader.names, name)))
-            score = leader.log_evidence + float(value)
+            term = start(second, fit.residual, each, name)
+            score = leader.log_evidence + float(value) + term.hypothesis.log_odds
             if key not in wanted or score > wanted[key].score:
-                terms = (*leader.terms, start(second, fit.residual, each, name))
-                wanted[key] = _Wanted(score, terms, leader, second.excess(each, name))
+                wanted[key] = _Wanted(score, (*leader.terms, term), leader, second.excess(each, name))
     return wanted
 
 

@@ -93,8 +93,7 @@ def _most_changed(report: GapReport) -> list[int]:
 
 def _brain(maps: MapSet) -> Picture:
     """The gap voxel by voxel, in three planes."""
-    z = maps.maps[0].value
-    beyond = float(np.mean(np.abs(z[maps.inside]) > _CLEAR))
+    beyond = float(np.mean(np.abs(np.asarray(maps.maps[0].value)) > _CLEAR))
     alt = (
         f"Gap by voxel, z of the leading cause's course after the refit: {beyond:.1%} beyond {_CLEAR:g} "
         f"(0.3 % expected of noise alone)."

@@ -290,6 +290,8 @@ def _gap_map(source: Source, one: _One) -> MapSet | None:
     """The voxel map as a report draws maps."""
     if one.gap is None or source.image is None:
         return None
-    status = np.where(np.isfinite(one.gap), Status.OK, Status.OUTSIDE).astype(np.uint8)
-    x, y, z = (float(edge) for edge in source.image.voxel_mm)
-    return MapSet((ParameterMap("z", "", one.gap),), status, (x, y, z), directions(source.image.affine))
+    mask = np.isfinite(one.gap)
+    z = one.gap.ravel(order="F")[mask.ravel(order="F")]
+    x, y, z_mm = (float(edge) for edge in source.image.voxel_mm)
+    status = np.full(z.size, Status.OK, np.uint8)
+    return MapSet((ParameterMap("z", "", z),), status, mask, (x, y, z_mm), directions(source.image.affine))

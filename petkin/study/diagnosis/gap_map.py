@@ -2,7 +2,10 @@
 
     z_v = q_r' P_r (x_v - f_r) / (s_r sigma_r),   |q_r| = 1,   q_r in the range of P_r
 
-P_r takes out what refitted kinetics of that voxel could explain; without a gap z is standard normal.
+P_r takes out what refitted kinetics of that voxel could explain; without a gap z is standard normal. Where there is no
+leading cause, z is the normal score of chi2 = |P_r (x_v - f_r) / (s_r sigma_r)|^2: any course counts.
+
+Reference: Wilson EB, Hilferty MM. Proc Natl Acad Sci USA 1931;17:684-688 (cube root of chi-square).
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ def gap_map(voxels: Voxels, found: Diagnosis, clock: FrameObservation) -> NDArra
 
     Args:
         voxels: of the segmentation.
-        found: the diagnosis, whose leading cause gives the pattern; without one, the strongest pattern that there is.
+        found: the diagnosis, whose leading cause gives the pattern.
         clock: frames.
     """
     residual = _projected(voxels.residual, voxels)
@@ -39,7 +42,7 @@ def gap_map(voxels: Voxels, found: Diagnosis, clock: FrameObservation) -> NDArra
         scores = residual[mine]
         bends = second_differences(voxels.residual[mine])
         sigma = max(float(np.sqrt((bends**2).mean())), 1e-300) if bends.size else 1.0
-        z[mine] = scores @ _axis(wanted[r], scores, voxels.sensitivity[r]) / sigma
+        z[mine] = _scored(scores / sigma, wanted[r], _basis(voxels.sensitivity[r]))
     volume = np.full(voxels.inside.shape, np.nan, np.float32)
     volume[voxels.inside] = z
     return volume
@@ -51,7 +54,7 @@ def gap_map_sidecar(found: Diagnosis) -> dict[str, Any]:
     return {
         "Description": (
             "z-score of every voxel: its residual after the refit of its kinetics, along the course over the frames of "
-            "the leading cause, or of the strongest course where there is none; standard normal without a gap"
+            "the leading cause, or the normal score of its chi-square without one; standard normal without a gap"
         ),
         "Cause": leader,
         "Units": "arbitrary",
@@ -84,12 +87,12 @@ def _basis(sensitivity: Array) -> Array:
     return left[:, size > 1e-9 * size[0]]
 
 
-def _axis(wanted: Array, scores: Array, sensitivity: Array) -> Array:
-    """Unit vector of a pattern within what the projection leaves; that of most energy where the pattern is lost."""
-    basis = _basis(sensitivity)
+def _scored(scores: Array, wanted: Array, basis: Array) -> Array:
+    """z of projected residuals (N, K) along a pattern; of their chi-square where the projection leaves none of it."""
     left = wanted - basis @ (basis.T @ wanted)
     length = float(np.linalg.norm(left))
     if length > _LOST * max(float(np.linalg.norm(wanted)), 1e-300):
-        return left / length
-    strongest = np.linalg.eigh(scores.T @ scores)[1][:, -1]
-    return strongest * np.sign(strongest[np.argmax(np.abs(strongest))])
+        return scores @ (left / length)
+    freedom = max(scores.shape[1] - basis.shape[1], 1)
+    spread = 2.0 / (9.0 * freedom)
+    return (np.cbrt((scores**2).sum(axis=1) / freedom) - (1.0 - spread)) / np.sqrt(spread)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, smallest_set
-from petkin.diagnosis.diagnose import base_fit
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, base_fit, smallest_set
 from petkin.io import RegionalCurves, read_regions
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.spatial import Looked, Voxels, look, read_voxels

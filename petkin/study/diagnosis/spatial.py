@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Contrasted, Fit, Noise, Pattern, judge_contrasts, linearised
+from petkin.diagnosis import Contrasted, Fit, Noise, Pattern, judge_contrasts, of_nuisance
 from petkin.effects.imaging import after
 from petkin.imaging import FrameSchedule, background_rim, blur
 from petkin.io import Regions, Series
@@ -112,7 +112,7 @@ def read_voxels(series: Series, regions: Regions, simulator: RegionalSimulator, 
         within += weight * float(curves[k].mean())
         around += weight * float(np.nan_to_num(frame[rim]).mean()) if rim.any() else 0.0
     own = len(simulator.own)
-    derivative = linearised(simulator, fit.state)[1]
+    derivative = of_nuisance(simulator, fit.state, fit.values)
     count = len(fit.values)
     mine = np.stack([derivative[r * own : (r + 1) * own, r].T for r in range(count)])
     return Voxels(

@@ -77,15 +77,15 @@ def speed_train(
     import torch
 
     from petkin_bench.provenance import append_rows
-    from petkin_bench.speed_train import PROBLEMS
+    from petkin_bench.speed_train import measure_pendulum
+    from petkin_bench.speed_train_pet import measure_pet
     from petkin_bench.tables import print_training
 
     torch.set_num_threads(1)
     if quick:
         steps, paper_steps, naive_steps = 12, 6, 3
     rows = []
-    for name, problem in PROBLEMS.items():
-        typer.echo(f"{name} ...", err=True)
+    for problem in (measure_pet, measure_pendulum):
         rows += problem(steps=steps, paper_steps=paper_steps, naive_steps=naive_steps)
     print_training(rows)
     if not quick:

@@ -24,7 +24,7 @@ from petkin_bench.systems import draw, find_system
 #: Mean squared error of the states that the paper reached (arXiv:2403.08194, table of section 4.2).
 TARGET = 2.2e-3
 #: Filters of the paper's encoders; its own source for them (Jiang X et al. 2022) has 8. Sixteen double a naive step.
-_FILTERS = 8
+FILTERS = 8
 _K = 7
 
 Row = dict[str, object]
@@ -39,13 +39,13 @@ class Clock:
     """Told of every step of a training; keeps its processor time, and checks the model now and then.
 
     Args:
-        model: gives what is being trained.
+        model: gives what is being trained, where it is to be checked.
         validation: to check on.
         every: steps between checks; 0 for none.
         stop: end the training once the target is reached.
     """
 
-    model: Callable[[], Identifier]
+    model: Callable[[], Identifier] | None
     validation: Dataset
     every: int = 0
     stop: bool = False
@@ -55,7 +55,7 @@ class Clock:
 
     def __call__(self, step: int, loss: float) -> None:
         self.steps.append(time.process_time() - self.last)
-        if self.every and step % self.every == 0:
+        if self.model is not None and self.every and step % self.every == 0:
             error = measure(self.model(), self.validation, find_strategy("meta"), _K, physics=())["mse_z"]
             self.checks.append((step, sum(self.steps), error))
             if self.stop and error <= TARGET:
@@ -96,7 +96,7 @@ def measure_pendulum(*, steps: int, paper_steps: int, naive_steps: int) -> list[
         paper_steps: at most so many to find how many the paper's form needs.
         naive_steps: to time a naive step.
     """
-    cpu, paper = find_preset("cpu"), replace(find_preset("paper"), filters=_FILTERS)
+    cpu, paper = find_preset("cpu"), replace(find_preset("paper"), filters=FILTERS)
     chosen = replace(cpu.of("pendulum"), **({"steps": steps} if steps else {}))
     constant = replace(paper.of("pendulum"), steps=paper_steps, final=1.0)
     ours = _timed(cpu, chosen, every=100) | _data(chosen)
@@ -110,10 +110,6 @@ def measure_pendulum(*, steps: int, paper_steps: int, naive_steps: int) -> list[
         compare("pendulum, preset cpu", ours, two),
     ]
     return [rows[0], rows[1] | projection(ours, shared, two)]
-
-
-#: What is measured; each returns its rows. A problem of another room is one entry more.
-PROBLEMS: dict[str, Callable[..., list[Row]]] = {"pendulum": measure_pendulum}
 
 
 def projection(ours: Row, shared: Row, naive: Row) -> Row:

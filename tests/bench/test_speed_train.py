@@ -12,6 +12,7 @@ from petkin.hybrid.train import loss_of
 from petkin_bench.naive import Naive, train_naive
 from petkin_bench.protocol import build, find_preset
 from petkin_bench.speed_train import TARGET, Clock, compare, projection
+from petkin_bench.speed_train_pet import measure_pet
 from petkin_bench.systems import draw, find_system
 from petkin_bench.tables import print_training
 
@@ -60,3 +61,9 @@ def test_projected_times_are_said_to_be_so(capsys):
         assert row["ratio_to_accuracy"] == pytest.approx((reached or 1000) * 2.0 / 20.0)
         print_training([row])
         assert words in capsys.readouterr().out
+
+
+def test_curves_are_read_far_sooner_than_images():
+    (row,) = measure_pet(steps=0, paper_steps=0, naive_steps=3)
+    assert float(str(row["ratio_step"])) > 20
+    assert float(str(row["data_percent"])) < 10

@@ -35,6 +35,8 @@ _WIDE, _LEAST = (2.0, 1.0), 0.02
 CODE, _START = 3, 0.3
 #: Rates of u and of the weights, in units of the setting.
 _SCALES = (3.0, 1.0)
+#: Pace below which a training that leaves the numbers is given up.
+_SLOWEST = 0.01
 
 
 @dataclass(frozen=True)
@@ -183,6 +185,8 @@ class _Descent:
     optimiser: torch.optim.Adam
     step: int = 0
     misfits: list[float] = field(default_factory=list)
+    pace: float = 1.0
+    before: list[Tensor] = field(default_factory=list)
 
     @classmethod
     def of(cls, u: Tensor, weights: list[nn.Parameter], settings: Settings) -> _Descent:
@@ -192,17 +196,30 @@ class _Descent:
 
     def move(self, cost: Callable[[Tensor], tuple[Tensor, Tensor]], settings: Settings) -> float:
         for group, scale in zip(self.optimiser.param_groups, _SCALES):
-            group["lr"] = scale * learning_rate(self.step, settings)
+            group["lr"] = self.pace * scale * learning_rate(self.step, settings)
         self.optimiser.zero_grad(set_to_none=True)
         total, misfit = cost(self.u)
+        self.step += 1
         if not bool(torch.isfinite(total)):
-            raise NumericalError(f"Step {self.step + 1} held numbers that are not finite; try another seed.")
+            return self.back()
         total.backward()
         if self.weights:
             torch.nn.utils.clip_grad_norm_(self.weights, settings.clip)
+        self.before = [p.detach().clone() for p in (self.u, *self.weights)]
         self.optimiser.step()
-        self.step += 1
         self.misfits.append(float(misfit.detach()))
+        return self.misfits[-1]
+
+    def back(self) -> float:
+        """One step back, and on at half the pace: the last one left the numbers."""
+        if not self.before or self.pace < _SLOWEST:
+            raise NumericalError(f"Step {self.step} held numbers that are not finite; try another seed.")
+        with torch.no_grad():
+            for parameter, before in zip((self.u, *self.weights), self.before):
+                parameter.copy_(before)
+        self.pace *= 0.5
+        self.optimiser.state.clear()
+        self.misfits.append(self.misfits[-1])
         return self.misfits[-1]
 
 
@@ -224,6 +241,7 @@ class Keep:
         tensors = {f"common.{name}": value for name, value in common.state_dict().items()}
         tensors |= {f"adam.{name}": value for name, value in optimiser_tensors(descent.optimiser).items()}
         tensors |= {"u": descent.u, "misfits": torch.tensor(descent.misfits, dtype=torch.float64)}
+        tensors["pace"] = torch.tensor(descent.pace, dtype=torch.float64)
         save_tensors(self.path, tensors, {**self.card, "step": descent.step})
         write_log(self.path.with_suffix(".csv"), descent.misfits, [])
 
@@ -235,5 +253,5 @@ class Keep:
         common.load_state_dict(dict(below("common.", tensors)))
         restore_optimiser(descent.optimiser, dict(below("adam.", tensors)))
         descent.u.data.copy_(tensors["u"])
-        descent.step, descent.misfits = step, tensors["misfits"].tolist()
+        descent.step, descent.misfits, descent.pace = step, tensors["misfits"].tolist(), float(tensors["pace"])
         self.complete = step >= int(self.card["steps"])

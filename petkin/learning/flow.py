@@ -31,7 +31,7 @@ from petkin.learning.responses import Responses
 #: Newton's method ends where no state moves by more than this (in the curve's unit) or after so many passes.
 _TOLERANCE, _PASSES = 1e-2, 12
 #: Largest slope of f times the later weight of a step.
-_MOST = 0.5
+_MOST = 0.4
 
 Layers = tuple[tuple[Tensor, Tensor], ...]
 
@@ -147,11 +147,13 @@ class _Steps:
         An f that feeds back on itself within one step is followed with a smaller slope: Newton's method would leave
         the numbers before f reaches its bound.
         """
-        jacobian = torch.minimum(jacobian, _MOST / torch.nn.functional.pad(self.late, (1, 0), value=1e-3)[:, None])
-        straight = value + _times(jacobian, off)
         one = torch.eye(len(value), dtype=value.dtype, device=value.device).reshape(
             len(value), len(value), *[1] * (value.ndim - 1)
         )
+        most = _MOST / torch.nn.functional.pad(self.late, (1, 0), value=1e-3)[:, None]
+        jacobian = torch.minimum(jacobian, most)
+        jacobian = torch.where(one > 0, jacobian, torch.maximum(jacobian, -most))
+        straight = value + _times(jacobian, off)
         inverse = _inverse(one - self.late[:, None] * jacobian[..., 1:])
         carried = self.keep[:, None] * one + self.early[:, None] * jacobian[..., :-1]
         forcing = self.early * straight[..., :-1] + self.late * straight[..., 1:]

@@ -54,7 +54,8 @@ def singles(
 ) -> list[Candidate]:
     """Every hypothesis with its evidence, the promising ones after a full refit; best first.
 
-    Where a gap is blatant, flags and `always` get a refit too: a weak template says little of them at full strength.
+    Where a gap is blatant, flags and `always` get a refit too: a weak template says little of them at full strength. So
+    does what is likelier than the rest before any data.
     """
     each = scan.each(base.residual)
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
@@ -62,7 +63,8 @@ def singles(
     best = by_name[order[0]]
     excess = base.chi2 - (base.residual.size - base.jacobian.shape[1])
     flags = {t.hypothesis.name for t in scan.templates if t.hypothesis.flag}
-    strong = always | flags if excess > _BLATANT else frozenset()
+    foreseen = {t.hypothesis.name for t in scan.templates if t.hypothesis.log_odds > 0}
+    strong = foreseen | (always | flags if excess > _BLATANT else frozenset())
     chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > best - _WITHIN) or n in strong]
     found = []
     for name in chosen:

@@ -141,7 +141,7 @@ def _diagnosed(
         simulator,
         curves.values,
         tuple(replace(h, log_odds=odds.get(h.name, 0.0)) for h in candidates),
-        always=ALWAYS | {name for name, value in odds.items() if value > 0},
+        always=ALWAYS,
         seed=request.seed,
         progress=progress,
     )

@@ -103,7 +103,7 @@ def certify(
     held = box["vB"].start if box["vB"].fixed else 0.0
     for rows, weights in alike(np.asarray(result.weights, np.float64), len(curves)):
         packed = compress(table, weights, tolerance=_KEPT)
-        z, sizes, _ = project_curves(packed, weights, np.asarray(curves)[rows].T, 0, len(rows))
+        z, sizes, *_ = project_curves(packed, weights, np.asarray(curves)[rows].T, 0, len(rows))
         outside = np.maximum(sizes - (z * z).sum(axis=0), 0.0)
         z[0] -= held * packed.blood
         reached = np.asarray(result.chi2[rows], np.float64) * (np.count_nonzero(weights > 0) - len(box.free))

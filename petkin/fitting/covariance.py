@@ -38,6 +38,11 @@ from petkin.kinetics.compartment import Macro
 
 Array = NDArray[np.float64]
 
+# Rows after those of `normal`: what variances are scaled by, bounds reached in powers of two, a macro-parameter,
+# amplitudes and rates, percent errors.
+_CHI2, _REACHED, _MACRO, _AMPLITUDE, _RATE, _ERROR = (ALL_ROWS + row for row in (0, 1, 2, 3, 5, 7))
+_ROWS = ALL_ROWS + 12
+
 _STRICT = {"contract", "nsz"}
 #: Relative error of a pivot from which on a curve is done again.
 _TOO_MUCH = 1e-6
@@ -83,6 +88,15 @@ class Limits:
     highest: Array
     slowest: float
     fastest: float
+
+    @property
+    def padded(self) -> Array:
+        """Where free parameters touch a bound, and which are free, for as many as there is room (3, PARAMETERS)."""
+        rows = np.zeros((3, PARAMETERS))
+        rows[0], rows[1] = -np.inf, np.inf
+        free = np.flatnonzero(~self.fixed)
+        rows[0, free], rows[1, free], rows[2, free] = self.lowest[free], self.highest[free], 1.0
+        return rows
 
 
 @lru_cache
@@ -142,15 +156,15 @@ def percent_errors(
     reached = np.empty(values.shape[1], np.int16)
     scratch = (
         formulas.tape.memory(),
-        np.zeros(ALL_ROWS * LANES),
+        np.zeros(_ROWS * LANES),
         np.zeros((2, LANES)),
         np.empty((VECTORS, size)),
         np.empty((PARAMETERS, size)),
         np.empty((2, PARAMETERS, PARAMETERS)),
     )
-    tape = (formulas.tape.steps, formulas.tape.outputs, formulas.exponentials)
+    tape = (formulas.tape.steps, formulas.tape.outputs, formulas.exponentials, formulas.macros)
     tables = (products.rows, products.gram, products.own, products.blood, products.low, products.spacing)
-    ends = (limits.fixed, limits.lowest, limits.highest, limits.slowest, limits.fastest)
+    ends = (*limits.padded, limits.slowest, limits.fastest, 4.0**formulas.parameters)
     _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch)
     return reached
 
@@ -158,22 +172,21 @@ def percent_errors(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
     rows, gram, own, axis, low, spacing = tables
-    steps, outputs, exponentials = tape
-    fixed = ends[0]
+    steps, outputs, exponentials, macros = tape
     memory, w, position, vectors, axes, work = scratch
-    parameters, atoms = len(fixed), 1 + 2 * exponentials
-    macros = values.shape[0] - parameters
+    parameters, atoms = len(values) - macros, 1 + 2 * exponentials
     for start in range(0, values.shape[1], LANES):
         count = min(LANES, values.shape[1] - start)
-        for q in range(parameters):
-            for n in range(LANES):
-                memory[q, n] = values[q, start + n] if n < count else 1.0
+        _enter(memory, values, chi2, parameters, start, count, w)
         run(steps, memory)
         for m in range(macros):
-            macro = memory[outputs[atoms + m]]
-            for n in range(count):
-                values[parameters + m, start + n] = macro[n]
-        _touch(memory, outputs, exponentials, ends, values, start, count, w, reached)
+            _copy(memory[outputs[atoms + m]], values[parameters + m], start, count)
+        for m in range(exponentials):
+            _lay(memory, outputs[1 + 2 * m], w, _AMPLITUDE + m)
+            _lay(memory, outputs[2 + 2 * m], w, _RATE + m)
+        _touch(w, ends)
+        for n in range(count):
+            reached[start + n] = np.int16(w[_REACHED * LANES + n])
         if not wanted:
             percent[:, start : start + count] = np.nan
             continue
@@ -184,33 +197,66 @@ def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
         for n in range(count):
             if w[LOST * LANES + n] > _TOO_MUCH:
                 invert_again(w, n, axis, rows, position[0, n], position[1, n], vectors, axes, work[0], work[1])
-        _parameter_errors(w, values, percent, chi2, fixed, start, count)
+        _parameter_errors(w, ends)
+        for q in range(parameters):
+            _copy(w[(_ERROR + q) * LANES :], percent[q], start, count)
         for m in range(macros):
-            partials = outputs[atoms + macros + (atoms + m) * parameters :]
-            _macro_errors(w, memory, partials, values, percent, chi2, m, parameters, start, count)
+            _lay(memory, outputs[atoms + m], w, _MACRO)
+            for q in range(parameters):
+                _lay(memory, outputs[atoms + macros + (atoms + m) * parameters + q], w, COLUMN + q)
+            _macro_error(w)
+            _copy(w[_ERROR * LANES :], percent[parameters + m], start, count)
 
 
 @njit(cache=True, error_model="numpy")
-def _touch(memory, outputs, exponentials, ends, values, start, count, w, reached):
-    """Which parameters are free and off their bounds, and which curves touch one."""
-    fixed, lowest, highest, slowest, fastest = ends
+def _enter(memory, values, chi2, parameters, start, count, w):
+    """Parameters of a block of curves and what their variances are scaled by; ones in lanes without a curve."""
+    for q in range(parameters):
+        for n in range(count):
+            memory[q, n] = values[q, start + n]
+        for n in range(count, LANES):
+            memory[q, n] = 1.0
+        _lay(memory, q, w, VALUE + q)
+    for n in range(LANES):
+        w[_CHI2 * LANES + n] = chi2[start + n] if n < count else 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _copy(numbers, out, start, count):
     for n in range(count):
-        reached[start + n] = 0
-    for q in range(len(fixed)):
-        low, high = np.int16(1 << (2 * q)), np.int16(2 << (2 * q))
-        for n in range(count):
-            value = values[q, start + n]
-            below, above = (not fixed[q]) & (value <= lowest[q]), (not fixed[q]) & (value >= highest[q])
-            reached[start + n] |= (low if below else np.int16(0)) | (high if above else np.int16(0))
-            w[(VALUE + q) * LANES + n] = value
-            w[(FREE + q) * LANES + n] = 0.0 if fixed[q] | below | above else 1.0
-    low, high = np.int16(1 << (2 * len(fixed))), np.int16(2 << (2 * len(fixed)))
-    for m in range(exponentials):
-        amplitude, rate = memory[outputs[1 + 2 * m]], memory[outputs[2 + 2 * m]]
-        for n in range(count):
-            takes_part = amplitude[n] != 0.0
-            reached[start + n] |= low if takes_part & (rate[n] <= slowest) else np.int16(0)
-            reached[start + n] |= high if takes_part & (rate[n] >= fastest) else np.int16(0)
+        out[start + n] = numbers[n]
+
+
+@njit(cache=True, error_model="numpy")
+def _lay(memory, register, w, row):
+    """A register of the tape into a row."""
+    first = np.uint64(row * LANES)  # unsigned indices are known not to count from the end
+    for n in range(np.uint64(LANES)):
+        w[first + n] = memory[register, n]
+
+
+@njit(cache=True, error_model="numpy")
+def _touch(w, ends):
+    """Which parameters are free and off their bounds, and which bounds every curve touches, in powers of two."""
+    lowest, highest, free, slowest, fastest, bit = ends
+    for n in range(LANES):
+        reached = _end(w, n, 0, lowest, highest, free) + 4.0 * _end(w, n, 1, lowest, highest, free)
+        reached += 16.0 * _end(w, n, 2, lowest, highest, free) + 64.0 * _end(w, n, 3, lowest, highest, free)
+        reached += 256.0 * _end(w, n, 4, lowest, highest, free)
+        on_1, on_2 = w[_AMPLITUDE * LANES + n] != 0.0, w[(_AMPLITUDE + 1) * LANES + n] != 0.0
+        rate_1, rate_2 = w[_RATE * LANES + n], w[(_RATE + 1) * LANES + n]
+        slow = (on_1 & (rate_1 <= slowest)) | (on_2 & (rate_2 <= slowest))
+        fast = (on_1 & (rate_1 >= fastest)) | (on_2 & (rate_2 >= fastest))
+        w[_REACHED * LANES + n] = reached + (bit if slow else 0.0) + (2.0 * bit if fast else 0.0)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _end(w, n, q, lowest, highest, free):
+    """Which end a parameter is on (1, 2 or 0), and whether it is free to move."""
+    value = w[(VALUE + q) * LANES + n]
+    below, above = value <= lowest[q], value >= highest[q]
+    w[(FREE + q) * LANES + n] = 0.0 if below | above else free[q]
+    return (1.0 if below else 0.0) + (2.0 if above else 0.0)
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
@@ -246,56 +292,42 @@ def unpack(memory, outputs, parameters, exponentials, w):
     """Amplitudes, and derivatives of amplitudes and rates by every parameter."""
     atoms = 1 + 2 * exponentials
     for m in range(exponentials + 1):
-        amplitude = memory[outputs[0 if m == 0 else 2 * m - 1]]
-        for n in range(LANES):
-            w[(X0 + m) * LANES + n] = amplitude[n]
+        _lay(memory, outputs[0 if m == 0 else 2 * m - 1], w, X0 + m)
     first = outputs.shape[0] // (parameters + 1)
     for o in range(atoms):
         for q in range(parameters):
-            partial = memory[outputs[first + o * parameters + q]]
-            for n in range(LANES):
-                w[(COLUMN + 5 * q + o) * LANES + n] = partial[n]
+            _lay(memory, outputs[first + o * parameters + q], w, COLUMN + 5 * q + o)
 
 
 @njit(cache=True, error_model="numpy")
-def _parameter_errors(w, values, percent, chi2, fixed, start, count):
-    entry = INVERSE
-    for q in range(len(fixed)):
-        for n in range(count):
-            value = values[q, start + n]
-            error = np.sqrt(max(w[entry * LANES + n] * chi2[start + n], 0.0))
-            free = w[(FREE + q) * LANES + n] > 0.0
-            error = np.inf if free & (w[(SCALE + q) * LANES + n] == 0.0) else error
-            known = (abs(value) < np.inf) & (free | fixed[q])
-            percent[q, start + n] = 100.0 * error / abs(value) if known else np.nan
-        entry += PARAMETERS - q
-
-
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _macro_errors(w, memory, partials, values, percent, chi2, m, parameters, start, count):
-    """By the delta method; a parameter that is no longer defined (k4 where k3 = 0) spoils only what depends on it."""
-    for q in range(parameters):
-        partial = memory[partials[q]]
-        for n in range(LANES):
-            w[(VALUE + q) * LANES + n] = partial[n] if abs(partial[n]) < np.inf else 0.0
-    _quadratic_form(w)
-    for n in range(count):
-        spoilt = False
-        for q in range(parameters):
-            unfelt = (w[(SCALE + q) * LANES + n] == 0.0) & (w[(FREE + q) * LANES + n] > 0.0)
-            spoilt = spoilt | (unfelt & (w[(VALUE + q) * LANES + n] != 0.0))
-        value = values[parameters + m, start + n]
-        error = np.inf if spoilt else np.sqrt(max(w[LOST * LANES + n] * chi2[start + n], 0.0))
-        percent[parameters + m, start + n] = 100.0 * error / abs(value) if abs(value) < np.inf else np.nan
-
-
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _quadratic_form(w):
-    """d^T inverse d for what stands in the rows VALUE, into LOST."""
+def _parameter_errors(w, ends):
+    """Percent standard errors of the parameters."""
+    free = ends[2]
     for n in range(LANES):
-        k, i = VALUE * LANES + n, INVERSE * LANES + n
-        d0, d1, d2, d3, d4 = w[k], w[k + LANES], w[k + 2 * LANES], w[k + 3 * LANES], w[k + 4 * LANES]
-        w[LOST * LANES + n] = (
+        scale = w[_CHI2 * LANES + n]
+        _parameter_error(w, n, 0, INVERSE, scale, free)
+        _parameter_error(w, n, 1, INVERSE + 5, scale, free)
+        _parameter_error(w, n, 2, INVERSE + 9, scale, free)
+        _parameter_error(w, n, 3, INVERSE + 12, scale, free)
+        _parameter_error(w, n, 4, INVERSE + 14, scale, free)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _parameter_error(w, n, q, entry, scale, may):
+    value, free = abs(w[(VALUE + q) * LANES + n]), w[(FREE + q) * LANES + n] > 0.0
+    error = 100.0 * np.sqrt(max(w[entry * LANES + n] * scale, 0.0)) / value
+    error = np.inf if free & (w[(SCALE + q) * LANES + n] == 0.0) else error
+    w[(_ERROR + q) * LANES + n] = error if (value < np.inf) & (free | (may[q] == 0.0)) else np.nan
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+def _macro_error(w):
+    """Percent standard error of what stands in MACRO, its derivatives in the first rows of COLUMN, by the delta method."""
+    for n in range(LANES):
+        i = INVERSE * LANES + n
+        (d0, s0), (d1, s1), (d2, s2) = _slope(w, n, 0), _slope(w, n, 1), _slope(w, n, 2)
+        (d3, s3), (d4, s4) = _slope(w, n, 3), _slope(w, n, 4)
+        variance = (
             d0
             * (
                 w[i] * d0
@@ -307,3 +339,19 @@ def _quadratic_form(w):
             + d3 * (w[i + 12 * LANES] * d3 + 2.0 * w[i + 13 * LANES] * d4)
             + d4 * w[i + 14 * LANES] * d4
         )
+        value = abs(w[_MACRO * LANES + n])
+        error = 100.0 * np.sqrt(max(variance * w[_CHI2 * LANES + n], 0.0)) / value
+        error = np.inf if s0 | s1 | s2 | s3 | s4 else error
+        w[_ERROR * LANES + n] = error if value < np.inf else np.nan
+
+
+@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+def _slope(w, n, q):
+    """A derivative, and whether it makes the error infinite because the curve does not feel the parameter.
+
+    A parameter that is no longer defined (k4 where k3 = 0) spoils only what depends on it.
+    """
+    slope = w[(COLUMN + q) * LANES + n]
+    slope = slope if abs(slope) < np.inf else 0.0
+    unfelt = (w[(SCALE + q) * LANES + n] == 0.0) & (w[(FREE + q) * LANES + n] > 0.0)
+    return slope, unfelt & (slope != 0.0)

@@ -52,7 +52,7 @@ class Likelihood:
         settings: NonlinearSettings,
         weights: Array,
     ) -> Likelihood:
-        z, size, _ = project_curves(packed, weights, curve[:, None], 0, 1)
+        z, size, *_ = project_curves(packed, weights, curve[:, None], 0, 1)
         freedom = int(np.count_nonzero(weights > 0)) - len(settings.box.free)
         theta = np.array([result[s][row] for s in settings.model.parameters.symbols], np.float64)
         variance = float(result.chi2[row])

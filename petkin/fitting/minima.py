@@ -57,7 +57,7 @@ def with_second_minimum(
         packed = squeeze(table, weights, settings)
         freedom = int(np.count_nonzero(weights > 0)) - len(settings.box.free)
         limit = result.chi2[rows] * freedom * (1.0 + quantile(0.95, 1, freedom) / freedom)
-        z, sizes, _ = project_curves(packed, weights, np.asarray(curves)[rows].T, 0, len(rows))
+        z, sizes, *_ = project_curves(packed, weights, np.asarray(curves)[rows].T, 0, len(rows))
         curve, values, cost = _minima(packed, z, sizes, settings)
         far = np.abs(values - best[rows][curve]) > _APART * error[rows][curve]
         rival = far & (cost <= limit[curve])

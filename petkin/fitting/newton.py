@@ -36,7 +36,7 @@ _STRICT = {"contract", "nsz"}
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def gather(z, rows, own, trap, start, size, work):
+def gather(z, rows, own, trap, trapped, size, work):
     """What the formulas need of every trial's cell, where it is another than before."""
     cells = np.uint64(own.shape[0] - 1)
     for n in range(size):
@@ -50,15 +50,16 @@ def gather(z, rows, own, trap, start, size, work):
         j1, j2, j3 = j + np.uint64(1), j + np.uint64(2), j + np.uint64(3)
         s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
         for r in range(z.shape[0]):
-            here = z[r, start + n]
+            here = z[r, n]
             s0 += rows[r, j] * here
             s1 += rows[r, j1] * here
             s2 += rows[r, j2] * here
             s3 += rows[r, j3] * here
         work[SEEN * BLOCK + n], work[(SEEN + 1) * BLOCK + n] = s0, s1
         work[(SEEN + 2) * BLOCK + n], work[(SEEN + 3) * BLOCK + n] = s2, s3
-        work[TRAP * BLOCK + n], work[(TRAP + 1) * BLOCK + n] = trap[j], trap[j1]
-        work[(TRAP + 2) * BLOCK + n], work[(TRAP + 3) * BLOCK + n] = trap[j2], trap[j3]
+        if trapped:
+            work[TRAP * BLOCK + n], work[(TRAP + 1) * BLOCK + n] = trap[j], trap[j1]
+            work[(TRAP + 2) * BLOCK + n], work[(TRAP + 3) * BLOCK + n] = trap[j2], trap[j3]
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)

@@ -13,6 +13,7 @@ from petkin.fitting.bounded import fit_in_box
 from petkin.fitting.box import ON_BOUND
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.device_tables import DeviceTables
+from petkin.fitting.inversion import fill_parameters
 from petkin.fitting.kernel import Tables
 from petkin.fitting.on_device import CHUNK
 from petkin.fitting.one_rate import OneRateTables
@@ -163,8 +164,9 @@ def _fit_shared(
     tables = _tables(packed, settings)
 
     def fit(rows: slice) -> _Left:
-        z, sizes, best.finite[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
-        best.signal[rows] = best.finite[rows] & (packed.basis.sum(axis=0) @ z > 0)
+        z, sizes, best.finite[rows], best.signal[rows] = project_curves(
+            packed, weights, frames, rows.start, rows.stop
+        )
         outside = _free_optimum(z, sizes, rows, best, packed.blood, tables, settings)
         chosen = np.flatnonzero(outside | settings.effort.refine)
         return _Left(rows.start + chosen, z[:, chosen], sizes[chosen], outside[chosen])
@@ -236,21 +238,12 @@ def _free_optimum(
         found = replace(found, phi=found.phi / (1.0 - vB.start), vB=np.full_like(found.vB, vB.start))
     else:
         found = search_among(model, tables, z, sizes, settings.effort)
-    with np.errstate(all="ignore"):
-        rates = model.invert(*zip(found.phi.T, found.rate.T))
-    theta = best.theta[:, rows]
-    for row, values in zip(theta, (*rates, *([] if found.Kb is None else [found.Kb]), found.vB)):
-        row[:] = values
-    blood_alone = (found.phi == 0.0).all(axis=1)  # without K1 any rates will do
-    theta[: model.rates, blood_alone] = np.array([0.0, *box.start[1 : model.rates]])[:, None]
+    inside = fill_parameters(model, found, box, ON_BOUND, best.theta[:, rows])
     best.cost[rows] = np.maximum(found.cost, np.finfo(np.float64).eps * sizes)
     best.converged[rows] = found.converged
-    slack = ON_BOUND * (1.0 + np.abs(box.upper))
-    inside = (theta >= (box.lower - slack)[:, None]) & (theta <= (box.upper + slack)[:, None])
-    theta[:] = np.clip(theta, box.lower[:, None], box.upper[:, None])
     # Where the best amplitude of a wall is negative, another optimum with a positive one may lie elsewhere.
     doubtful = False if found.Kb is None else found.Kb == 0.0
-    return best.signal[rows] & (~inside.all(axis=0) | doubtful)
+    return best.signal[rows] & (~inside | doubtful)
 
 
 def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: NonlinearSettings) -> None:

@@ -11,7 +11,7 @@ It serves 1TCM (`SINGLE`: x0, x1 >= 0), 2TCM3k (`TRAPPED`: and x2 >= 0) and SRTM
 On any `Compression` (kinds from `petkin.fitting.scan`, the rest from here and beside):
 
     packed = compress(build_table(arterial, observation, rate_bounds=(slow, fast), nodes=80), weights, size=16)
-    z, sizes, finite = project_curves(packed, weights, frames, 0, N)
+    z, sizes, finite, signal = project_curves(packed, weights, frames, 0, N)
     found = search_one_rate(one_rate_tables(packed), z, sizes, SIGNED, tolerance=1e-4)
     R1, x1, a = found[X0], found[X1], np.exp(found[U1]) - RATE_OFFSET
 
@@ -31,7 +31,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import newton
-from petkin.fitting.scan import BLOCK, SIGNED, TRAPPED, project, scale, score
+from petkin.fitting.scan import BLOCK, SIGNED, TRAPPED, project, score, take
 from petkin.fitting.table import Compression
 
 Array = NDArray[np.float64]
@@ -120,10 +120,13 @@ def search_one_rate(tables: OneRateTables, z: Array, sizes: Array, kind: int, *,
     answer = np.empty((7, z.shape[1]))
     nodes = len(tables.lead)
     scratch = (
+        np.zeros((len(z), BLOCK)),
+        np.empty(BLOCK),
         np.zeros((len(z), BLOCK), np.float32),
         np.empty((nodes, BLOCK), np.float32),
         np.zeros((nodes, BLOCK), np.float32),
-        np.empty(BLOCK, np.int64),
+        np.empty(BLOCK, np.float32),
+        np.empty(BLOCK, np.int32),
         np.zeros(newton.ROWS * BLOCK),
     )
     _search(z, sizes, tables, scratch, kind, tolerance, answer)
@@ -134,16 +137,16 @@ def search_one_rate(tables: OneRateTables, z: Array, sizes: Array, kind: int, *,
 def _search(z, sizes, tables, scratch, kind, tolerance, answer):
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
     axis, low, spacing, first, last, rows, own, trap, node, scanned, lead, near = tables
-    scaled, along, scores, best, work = scratch
+    here, lengths, scaled, along, scores, top, best, work = scratch
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
-        scale(z, sizes, start, size, scaled)
+        take(z, sizes, start, size, here, lengths, scaled)
         project(scanned, scaled, along)
-        score(scaled, along, lead, near, kind, axis > 0.0, scores, best)
-        _start(z, sizes, rows, axis > 0.0, scores, best, start, size, node, first, last, work)
+        score(scaled, along, lead, near, kind, axis > 0.0, scores, top, best)
+        _start(here, sizes, rows, kind, axis > 0.0, scores, best, start, size, node, first, last, work)
         left = size
         while left > 0:
-            newton.gather(z, rows, own, trap, start, size, work)
+            newton.gather(here, rows, own, trap, kind == TRAPPED, size, work)
             if kind == TRAPPED:
                 newton.step(work, axis > 0.0, rows[0, 0], trap[0], first, last, tolerance, True, False)
             elif kind == SIGNED:
@@ -156,28 +159,29 @@ def _search(z, sizes, tables, scratch, kind, tolerance, answer):
         _hand_over(work, start, size, axis, low, spacing, answer)
 
 
-@njit(cache=True, error_model="numpy")
-def _start(z, sizes, rows, has_axis, scores, best, start, size, node, first, last, work):
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def _start(here, sizes, rows, kind, has_axis, scores, best, start, size, node, first, last, work):
     """The first trial: the top of the parabola through the best node and its neighbours."""
     for row in range(newton.OWN):
         for n in range(BLOCK):
             work[row * BLOCK + n] = 0.0
+    for n in range(BLOCK):
+        work[newton.CELL * BLOCK + n] = -1.0
+        work[newton.GAIN * BLOCK + n] = -1.0
+        work[newton.ON_AXIS * BLOCK + n] = here[0, n] if has_axis else 0.0
+    if kind == TRAPPED:
+        for r in range(here.shape[0]):
+            for n in range(BLOCK):
+                work[newton.ON_TRAP * BLOCK + n] += rows[r, 0] * here[r, n]
     for n in range(size):
         i = best[n]
         offset = 0.0
         if 0 < i < scores.shape[0] - 1:
-            below, here, above = float(scores[i - 1, n]), float(scores[i, n]), float(scores[i + 1, n])
-            bend = 2.0 * here - below - above
+            below, top, above = float(scores[i - 1, n]), float(scores[i, n]), float(scores[i + 1, n])
+            bend = 2.0 * top - below - above
             offset = (above - below) / bend if bend > 0.0 else 0.0  # in nodes, two between scanned ones
         work[newton.TRIAL * BLOCK + n] = min(max(node + 2.0 * i + offset, first), last)
-        work[newton.CELL * BLOCK + n] = -1.0
-        work[newton.GAIN * BLOCK + n] = -1.0
         work[newton.SIZE * BLOCK + n] = sizes[start + n]
-        work[newton.ON_AXIS * BLOCK + n] = z[0, start + n] if has_axis else 0.0
-        total = 0.0
-        for r in range(z.shape[0]):
-            total += rows[r, 0] * z[r, start + n]
-        work[newton.ON_TRAP * BLOCK + n] = total
     for n in range(size, BLOCK):
         work[newton.DONE * BLOCK + n] = newton.ENDED
 

@@ -106,10 +106,9 @@ def fit_one_rate(
     )
 
     def fit(rows: slice) -> None:
-        z, sizes, finite = project_curves(packed, weights, frames, rows.start, rows.stop)
+        z, sizes, finite, signal = project_curves(packed, weights, frames, rows.start, rows.stop)
         kind = SIGNED if model.axis else SINGLE
         best = search_one_rate(tables, z, sizes, kind, tolerance=effort.tolerance)
-        signal = packed.basis.sum(axis=0) @ z > 0
         _look_at(found, rows, best, packed, model, used)
         found.cost[rows] = np.maximum(best[COST], np.finfo(np.float64).eps * sizes)
         status = found.status[rows]

@@ -10,8 +10,9 @@ import numba
 
 T = TypeVar("T")
 
-#: Curves in a part: some hundred kilobytes an array of numbers. Results do not depend on it.
-PART = 16384
+#: Curves in a part: some hundred kilobytes an array of numbers, and no multiple of a page, so that rows of numbers do
+#: not push each other out of the cache. Results do not depend on it.
+PART = 16320
 
 
 def in_parts(work: Callable[[slice], T], count: int, size: int = PART) -> list[T]:

@@ -26,18 +26,20 @@ def project_curves(packed: Compression, weights: Array, frames: NDArray[np.float
         start, stop: which curves.
 
     Returns:
-        z (R, n); sum_k w_k y_k^2 (n,); whether all values of a curve are finite (n,): others count as zero.
+        z (R, n); sum_k w_k y_k^2 (n,); whether all values of a curve are finite (n,): others count as zero; whether it
+        holds signal (n,), a positive share of the sum of all exponentials in the table.
     """
     z = np.empty((packed.size, stop - start))
     sizes = np.empty(stop - start)
-    finite = np.empty(stop - start, np.bool_)
+    finite, signal = np.empty((2, stop - start), np.bool_)
     room = np.zeros(frames.shape[0] * BLOCK), np.empty(packed.size * BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    _project_all(frames, start, packed.project, weights, z, sizes, finite, room)
-    return z, sizes, finite
+    every = np.ascontiguousarray(packed.basis.sum(axis=0))
+    _project_all(frames, start, packed.project, weights, every, z, sizes, finite, signal, room)
+    return z, sizes, finite, signal
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _project_all(frames, start, project, weights, z, sizes, finite, room):
+def _project_all(frames, start, project, weights, every, z, sizes, finite, signal, room):
     y, out, total, plain = room
     for first in range(0, z.shape[1], BLOCK):
         width = min(BLOCK, z.shape[1] - first)
@@ -47,6 +49,9 @@ def _project_all(frames, start, project, weights, z, sizes, finite, room):
             finite[first + n] = plain[n] < _LARGEST * _LARGEST
             sizes[first + n] = total[n]
         _project(project, y, out)
+        _add(every, out, total)
+        for n in range(width):
+            signal[first + n] = total[n] > 0.0
         for r in range(project.shape[0]):
             for n in range(width):
                 z[r, first + n] = out[r * BLOCK + n]
@@ -110,3 +115,13 @@ def _project(axes, y, out):
             for n in range(BLOCK):
                 out[r * BLOCK + n] += axes[r, k] * y[k * BLOCK + n]
             k += 1
+
+
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def _add(every, out, total):
+    """every @ out."""
+    for n in range(BLOCK):
+        total[n] = 0.0
+    for r in range(len(every)):
+        for n in range(BLOCK):
+            total[n] += every[r] * out[r * BLOCK + n]

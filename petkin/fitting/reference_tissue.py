@@ -98,8 +98,7 @@ def shared_k2prime(
         k2' in 1/min, and its percent standard error: from the curvature of the total cost at its minimum, with the
         variance that the cost at the minimum tells.
     """
-    z, sizes, finite = project_curves(packed, weights, frames_first(np.asarray(curves)), 0, len(curves))
-    used = finite & (packed.basis.sum(axis=0) @ z > 0)
+    z, sizes, _, used = project_curves(packed, weights, frames_first(np.asarray(curves)), 0, len(curves))
     z, sizes = np.ascontiguousarray(z[:, used]), sizes[used]
 
     def cost(log_rate: float) -> float:

@@ -21,15 +21,17 @@ _FAST = {"reassoc", "contract", "nsz", "arcp"}
 _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-6)
 
 
-@njit(cache=True, error_model="numpy")
-def scale(z, sizes, start, count, scaled):
-    """Curves of unit length for the scan; room without a curve is zero."""
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def take(z, sizes, start, count, here, lengths, scaled):
+    """A block of curves as they are and, for the scan, at unit length; room without a curve is zero."""
     for n in range(count):
-        scale = 1.0 / np.sqrt(max(sizes[start + n], 1e-300))
-        for r in range(z.shape[0]):
-            scaled[r, n] = z[r, start + n] * scale
-    for n in range(count, BLOCK):
-        for r in range(z.shape[0]):
+        lengths[n] = 1.0 / np.sqrt(max(sizes[start + n], 1e-300))
+    for r in range(z.shape[0]):
+        for n in range(count):
+            here[r, n] = z[r, start + n]
+            scaled[r, n] = z[r, start + n] * lengths[n]
+        for n in range(count, BLOCK):
+            here[r, n] = 0.0
             scaled[r, n] = _ZERO
 
 
@@ -55,7 +57,7 @@ def project(atoms, z, along):
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def score(z, along, lead, near, kind, has_axis, scores, best):
+def score(z, along, lead, near, kind, has_axis, scores, top, best):
     """What every scanned node explains of every curve, and the node that explains most; amplitudes in closed form."""
     for i in range(along.shape[0]):
         for n in range(BLOCK):
@@ -72,10 +74,13 @@ def score(z, along, lead, near, kind, has_axis, scores, best):
         if kind == TRAPPED and i > 0:
             _score_trapped(i, z, along, lead, near, has_axis, scores)
     for n in range(BLOCK):
-        best[n] = 0
+        top[n], best[n] = scores[0, n], np.int32(0)
     for i in range(1, along.shape[0]):
+        node = np.int32(i)
         for n in range(BLOCK):
-            best[n] = i if scores[i, n] > scores[best[n], n] else best[n]
+            better = scores[i, n] > top[n]
+            top[n] = scores[i, n] if better else top[n]
+            best[n] = node if better else best[n]
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")

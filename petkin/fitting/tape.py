@@ -157,24 +157,26 @@ def _allocate(entries: list[tuple[Any, ...]], wanted: list[int], inputs: int) ->
 @njit(cache=True, nogil=True, error_model="numpy")
 def run(steps, memory):
     """Carry out a tape on registers whose first hold the inputs."""
+    # A width that the compiler does not know keeps it from writing the loops out before it puts them into registers.
+    width = memory.shape[1]
     for step in range(steps.shape[0]):
         operation = steps[step, 0]
         target, left, right = memory[steps[step, 1]], memory[steps[step, 2]], memory[steps[step, 3]]
         if operation == _ADD:
-            for n in range(WIDTH):
+            for n in range(width):
                 target[n] = left[n] + right[n]
         elif operation == _SUBTRACT:
-            for n in range(WIDTH):
+            for n in range(width):
                 target[n] = left[n] - right[n]
         elif operation == _MULTIPLY:
-            for n in range(WIDTH):
+            for n in range(width):
                 target[n] = left[n] * right[n]
         elif operation == _DIVIDE:
-            for n in range(WIDTH):
+            for n in range(width):
                 target[n] = left[n] / right[n]
         elif operation == _ROOT:
-            for n in range(WIDTH):
+            for n in range(width):
                 target[n] = np.sqrt(left[n])
         else:
-            for n in range(WIDTH):
+            for n in range(width):
                 target[n] = left[n] ** right[n]

@@ -142,8 +142,7 @@ def fit_two_rates(
 def _fit_part(
     frames: NDArray[np.floating], rows: slice, packed: Compression, weights: Array, box: ParameterSet, effort: Effort
 ) -> _Ended:
-    z, sizes, finite = project_curves(packed, weights, frames, rows.start, rows.stop)
-    signal = finite & (packed.basis.sum(axis=0) @ z > 0)
+    z, sizes, finite, signal = project_curves(packed, weights, frames, rows.start, rows.stop)
     starts = _grid_starts(packed, z, box, effort.starts)
     tolerance = max(1e-2 * effort.tolerance, 1e-10)
     theta, cost, converged = best_polish(

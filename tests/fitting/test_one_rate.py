@@ -35,7 +35,7 @@ def curves(kind: int, count: int, noise: float) -> np.ndarray:
 
 def found(kind: int, data: np.ndarray, tolerance: float = 1e-12, nodes: int = 160) -> np.ndarray:
     packed = compress(build_table(ARTERIAL, PLAIN, rate_bounds=(SLOWEST, FASTEST), nodes=nodes), WEIGHTS)
-    z, sizes, _ = project_curves(packed, WEIGHTS, np.ascontiguousarray(data.T), 0, len(data))
+    z, sizes, *_ = project_curves(packed, WEIGHTS, np.ascontiguousarray(data.T), 0, len(data))
     return search_one_rate(one_rate_tables(packed), z, sizes, kind, tolerance=tolerance)
 
 
@@ -103,7 +103,7 @@ def test_amplitudes_that_would_be_negative_are_zero(kind):
 def test_without_the_axis_one_exponential_stands_alone():
     packed = compress(build_table(ARTERIAL, PLAIN, rate_bounds=(SLOWEST, FASTEST), nodes=160), WEIGHTS)
     data = 0.2 * basis_averages(np.array([0.07]))
-    z, sizes, _ = project_curves(packed, WEIGHTS, np.ascontiguousarray(data.T), 0, 1)
+    z, sizes, *_ = project_curves(packed, WEIGHTS, np.ascontiguousarray(data.T), 0, 1)
     answer = search_one_rate(one_rate_tables(packed, axis=False), z, sizes, SINGLE, tolerance=1e-12)
     assert np.exp(answer[U1, 0]) - RATE_OFFSET == pytest.approx(0.07, rel=1e-5)
     assert answer[X1, 0] == pytest.approx(0.2, rel=1e-5)
@@ -116,7 +116,7 @@ def test_without_the_axis_the_first_look_leaves_it_out() -> None:
     table = build_table(problem.arterial, problem.observation, rate_bounds=(0.0, 5.0), nodes=80)
     packed = compress(table, problem.weights, size=16)
     frames = np.ascontiguousarray((problem.curves - 0.05 * table.blood).T)
-    z, sizes, _ = project_curves(packed, problem.weights, frames, 0, frames.shape[1])
+    z, sizes, *_ = project_curves(packed, problem.weights, frames, 0, frames.shape[1])
     cost = search_one_rate(one_rate_tables(packed, axis=False), z, sizes, TRAPPED, tolerance=1e-9)[COST]
     b, trapped = packed.basis[1:], packed.basis[0]
     g, near, held = (b * b).sum(axis=1)[:, None], (b @ trapped)[:, None], trapped @ trapped

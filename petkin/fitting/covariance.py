@@ -322,7 +322,7 @@ def _parameter_error(w, n, q, entry, scale, may):
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
 def _macro_error(w):
-    """Percent standard error of what stands in MACRO, its derivatives in the first rows of COLUMN, by the delta method."""
+    """Percent standard error of what stands in MACRO by the delta method; its derivatives stand in rows of COLUMN."""
     for n in range(LANES):
         i = INVERSE * LANES + n
         (d0, s0), (d1, s1), (d2, s2) = _slope(w, n, 0), _slope(w, n, 1), _slope(w, n, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import Forcing
+from petkin.fitting.table import Itself
 from petkin.imaging import FrameObservation, FrameSchedule
 
 Array = NDArray[np.float64]
@@ -32,17 +34,41 @@ def curve_integrals(observation: FrameObservation) -> tuple[Array, Array]:
         observation: what K frames report.
 
     Returns:
-        I (K, K) in min, J (K, K) in min^2; column k is what the value of frame k alone adds.
+        I (K, K) in min, J (K, K) in min^2; column k is what the value of frame k alone adds. The last few are kept,
+        since a scan's voxels may come in many blocks.
     """
+    return _curve_integrals(Itself(observation))
+
+
+@lru_cache(maxsize=4)
+def _curve_integrals(key: Itself) -> tuple[Array, Array]:
     from scipy.interpolate import CubicSpline
 
+    observation = key.thing
     edges, areas = _areas(observation.frames)
     ends: Any = (1, np.zeros(len(observation.frames))), "not-a-knot"
     running = CubicSpline(edges, areas, bc_type=ends)
     reported = _report(running.derivative(), observation)
     once, twice = _report(running, observation), _report(running.antiderivative(), observation)
     means = np.linalg.inv(reported)
-    return np.asarray(once @ means, np.float64), np.asarray(twice @ means, np.float64)
+    return _for_good(np.asarray(once @ means, np.float64)), _for_good(np.asarray(twice @ means, np.float64))
+
+
+def input_columns(forcing: Forcing, observation: FrameObservation) -> tuple[Array, Array]:
+    """Frame values (K,) of u and of int_0^t u ds, exactly; the last few are kept, like the operators above."""
+    return _input_columns(Itself(forcing), Itself(observation))
+
+
+@lru_cache(maxsize=4)
+def _input_columns(forcing: Itself, observation: Itself) -> tuple[Array, Array]:
+    area = observation.thing.of_response(forcing.thing, torch.zeros(1, dtype=torch.float64))[0]
+    return _for_good(observation.thing.of_forcing(forcing.thing).numpy()), _for_good(area.numpy())
+
+
+def _for_good(array: Array) -> Array:
+    """What is kept for others must not be written to."""
+    array.setflags(write=False)
+    return array
 
 
 def input_integrals(forcing: Forcing, observation: FrameObservation) -> tuple[Array, Array]:

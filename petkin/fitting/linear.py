@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.fitting.gram_schmidt import INDEPENDENT, scratch, solve_curves
+from petkin.fitting.shared_columns import regress_curves
 
 Array = NDArray[np.float64]
 
@@ -150,6 +151,25 @@ class LinearSolver:
             spread,
         )
 
+    @property
+    def in_common(self) -> bool:
+        """Whether no column is a curve's own and the curve itself is the response."""
+        return len(self.operators) == 1 and bool((np.diff(self.spans[0]) == 1).all())
+
+    def regress(
+        self,
+        frames: NDArray[np.floating],
+        start: int,
+        outcome: int,
+        answer: tuple[Array, Array, Array, NDArray[np.uint8]],
+    ) -> None:
+        """Values, percent errors, chi-square and status where all columns are in common: see `regress_curves`."""
+        used = self.spans[0, :, 0]
+        factor = self.operators[0, np.arange(len(used)), used] * self.scale
+        each, freedom = self._unit()
+        tissue, unit = (self.offset[used], factor, used), (np.ascontiguousarray(np.diag(each)), freedom)
+        regress_curves(frames, start, tissue, self.axes, self.inverse, unit, outcome, answer)
+
     def solve(self, frames: NDArray[np.floating], rows: slice) -> LinearSolutions:
         """Unknowns of some of the curves (K, N), float32 or float64, frames first; `rows` has a start and a stop."""
         n, (vectors, used, count) = rows.stop - rows.start, self.operators.shape
@@ -171,15 +191,16 @@ class LinearSolver:
             (theta, covariance, wrss, freedom, total, finite),
         )
         if same:
-            covariance, freedom = self._in_common(n)
+            each, all_freedom = self._unit()
+            covariance = np.broadcast_to(each[:, :, None], (*each.shape, n))
+            freedom = np.broadcast_to(all_freedom, n)
         return LinearSolutions(theta, covariance, wrss, freedom, total, finite)
 
-    def _in_common(self, n: int) -> tuple[Array, Array]:
-        """Covariance and freedom of n curves whose columns are all shared."""
+    def _unit(self) -> tuple[Array, float]:
+        """Covariance (S, S) and freedom of curves whose columns are all shared."""
         _, _, along, traces = self.spread
         each = self.inverse @ (along[0] @ along[0].T) @ self.inverse.T
-        freedom = traces[0, 0] - (along[0] ** 2).sum()
-        return np.broadcast_to(each[:, :, None], (*each.shape, n)), np.broadcast_to(freedom, n)
+        return each, float(traces[0, 0] - (along[0] ** 2).sum())
 
 
 def _spans(operators: Array) -> NDArray[np.intp]:

@@ -164,9 +164,7 @@ def _fit_shared(
     tables = _tables(packed, settings)
 
     def fit(rows: slice) -> _Left:
-        z, sizes, best.finite[rows], best.signal[rows] = project_curves(
-            packed, weights, frames, rows.start, rows.stop
-        )
+        z, sizes, best.finite[rows], best.signal[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
         outside = _free_optimum(z, sizes, rows, best, packed.blood, tables, settings)
         chosen = np.flatnonzero(outside | settings.effort.refine)
         return _Left(rows.start + chosen, z[:, chosen], sizes[chosen], outside[chosen])

@@ -17,7 +17,9 @@ from petkin.errors import InputError
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.linear import LinearDesign, LinearSolutions, LinearSolver
 from petkin.fitting.parts import in_parts
-from petkin.fitting.results import Estimate, FitResult, Status
+from petkin.fitting.results import Estimate, FitResult
+from petkin.fitting.summary import akaike
+from petkin.fitting.verdict import conclude, delta_variances
 
 Array = NDArray[np.float64]
 
@@ -83,9 +85,13 @@ def fit_linear(
     answer = _Answer.of(len(regression.quantities), len(curves), len(design.used), design.unknowns)
 
     def fit(part: slice) -> None:
-        for start in range(part.start, part.stop, _BLOCK):
-            rows = slice(start, min(start + _BLOCK, part.stop))
-            answer.fill(rows, solver.solve(frames, rows), regression)
+        if solver.in_common and regression.read is None:
+            solver.regress(frames, part.start, regression.outcome, answer.of_some(part))
+        else:
+            for start in range(part.start, part.stop, _BLOCK):
+                rows = slice(start, min(start + _BLOCK, part.stop))
+                answer.fill(rows, solver.solve(frames, rows), regression)
+        answer.compare(part)
 
     with np.errstate(all="ignore"):
         in_parts(fit, len(curves))
@@ -141,41 +147,30 @@ class _Answer:
         chi2, aicc = np.empty((2, curves))
         return cls(values, percent_se, chi2, aicc, np.empty(curves, np.uint8), used, unknowns)
 
+    def of_some(self, rows: slice) -> tuple[Array, Array, Array, NDArray[np.uint8]]:
+        """Room for the answers of some curves."""
+        return self.values[:, rows], self.percent_se[:, rows], self.chi2[rows], self.status[rows]
+
     def fill(self, rows: slice, solved: LinearSolutions, regression: Regression) -> None:
         """Estimates, errors and status of some curves; what must not be used is NaN."""
-        with np.errstate(all="ignore"):
-            values, variances = _read(solved, regression)
-            freedom, p = self.used - self.unknowns, self.unknowns + 1
-            percent = self.percent_se[:, rows]
-            np.divide(np.sqrt(variances * (solved.wrss / solved.freedom)), np.abs(values), out=percent)
-            percent *= 100.0
-            fit = np.isfinite(values[regression.outcome])
-            told = percent[regression.outcome] <= 100.0
-            good = solved.finite & (solved.total > 0.0)
-            self.values[:, rows] = values
-            np.divide(solved.wrss, freedom, out=self.chi2[rows])
-            penalty = 2 * p + (2 * p * (p + 1) / (self.used - p - 1) if self.used > p + 1 else np.nan)
-            self.aicc[rows] = self.used * np.log(solved.wrss / self.used) + penalty
-        status = self.status[rows]
-        status[:] = np.where(fit & told, Status.OK, Status.NOT_IDENTIFIABLE)
-        if not good.all():
-            status[solved.total <= 0.0] = Status.NO_SIGNAL
-            status[~solved.finite] = Status.NOT_FINITE
-        if not (good & fit).all():
-            empty = ~(good & fit)
-            self.values[:, rows][:, empty] = np.nan
-            percent[:, empty] = np.nan
-            self.chi2[rows][empty] = np.nan
-            self.aicc[rows][empty] = np.nan
+        values, variances = _read(solved, regression)
+        found = values, variances, solved.wrss, solved.freedom, solved.total, solved.finite
+        conclude(found, regression.outcome, float(self.used - self.unknowns), *self.of_some(rows))
+
+    def compare(self, rows: slice) -> None:
+        """AICc of some curves."""
+        freedom, p = self.used - self.unknowns, self.unknowns + 1
+        self.aicc[rows] = akaike(self.chi2[rows] * freedom, self.used, p)
 
 
 def _read(solved: LinearSolutions, regression: Regression) -> tuple[Array, Array]:
     """Values (M, n) of the quantities and the variances of them (M, n) at unit weight."""
     if regression.read is None:
-        count = len(regression.quantities)
-        return solved.theta[:count], np.stack([solved.covariance[i, i] for i in range(count)])
+        return solved.theta, np.stack([solved.covariance[i, i] for i in range(len(solved.theta))])
     values, slopes = regression.read(solved.theta)
-    return values, np.einsum("mpn,pqn,mqn->mn", slopes, solved.covariance, slopes)
+    variances = np.empty_like(values)
+    delta_variances(slopes, np.ascontiguousarray(solved.covariance), variances)
+    return values, variances
 
 
 def _predict(frames: NDArray[np.floating], design: LinearDesign, solver: LinearSolver, answer: _Answer) -> Array:

@@ -68,7 +68,7 @@ def log_rate(rate: float | Array) -> float | Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Itself:
+class Itself:
     """Something that equals itself alone, as a key."""
 
     thing: Any
@@ -77,7 +77,7 @@ class _Itself:
         return id(self.thing)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and self.thing is other.thing
+        return isinstance(other, Itself) and self.thing is other.thing
 
 
 def build_table(
@@ -94,11 +94,11 @@ def build_table(
         rate_bounds: lowest and highest rate, 1/min; the lowest may be 0.
         nodes: number of nodes; 64 give 1e-6 of a curve's norm, 160 give 3e-8.
     """
-    return _built(_Itself(arterial), _Itself(observation), rate_bounds, nodes)
+    return _built(Itself(arterial), Itself(observation), rate_bounds, nodes)
 
 
 @lru_cache(maxsize=4)
-def _built(arterial: _Itself, observation: _Itself, rate_bounds: tuple[float, float], nodes: int) -> BasisTable:
+def _built(arterial: Itself, observation: Itself, rate_bounds: tuple[float, float], nodes: int) -> BasisTable:
     u = np.linspace(float(log_rate(rate_bounds[0])), float(log_rate(rate_bounds[1])), nodes)
     beside = _STEP * np.arange(1, len(_ONE_SIDED))
     every = np.concatenate([u, u[0] + beside, u[-1] - beside])

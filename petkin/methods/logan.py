@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from petkin.fitting import Choices, FitResult, Given
-from petkin.fitting.integrals import curve_integrals
+from petkin.fitting.integrals import curve_integrals, input_columns
 from petkin.fitting.linear import LinearDesign
 from petkin.fitting.regression import Quantity, Regression, weights_and_noise
 from petkin.methods.late import Array, Axes, LateEquation, fit_late, without_blood
@@ -24,10 +23,10 @@ def _design(given: Given, vB: float) -> LinearDesign:
     Weights are those of C_T: in the plot a ratio would have the weight w C_T^2, which is the same sum of squares.
     """
     plasma, observation = given.input("Logan").plasma, given.observation
-    area = observation.of_response(plasma, torch.zeros(1, dtype=torch.float64)).numpy()
+    _, area = input_columns(plasma, observation)
     once, _ = curve_integrals(observation)
     weights = weights_and_noise(given.weights, "Logan")
-    return LinearDesign(area, np.eye(len(once))[None], once, *weights, *without_blood(given, vB, "Logan"))
+    return LinearDesign(area[None], np.eye(len(once))[None], once, *weights, *without_blood(given, vB, "Logan"))
 
 
 def _axes(design: LinearDesign, tissue: Array, values: Array) -> tuple[Array, Array]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from petkin.fitting import Choices, FitResult, Given
-from petkin.fitting.integrals import curve_integrals
+from petkin.fitting.integrals import curve_integrals, input_columns
 from petkin.fitting.linear import LinearDesign
 from petkin.fitting.regression import Quantity, Regression, weights_and_noise
 from petkin.methods.late import Array, Axes, LateEquation, fit_late, without_blood
@@ -20,10 +19,10 @@ _QUANTITIES = (
 
 def _design(given: Given, vB: float) -> LinearDesign:
     plasma, observation = given.input("MA1").plasma, given.observation
-    area = observation.of_response(plasma, torch.zeros(1, dtype=torch.float64)).numpy()
+    _, area = input_columns(plasma, observation)
     once, _ = curve_integrals(observation)
     weights = weights_and_noise(given.weights, "MA1")
-    return LinearDesign(area, once[None], np.eye(len(once)), *weights, *without_blood(given, vB, "MA1"))
+    return LinearDesign(area[None], once[None], np.eye(len(once)), *weights, *without_blood(given, vB, "MA1"))
 
 
 def _read(theta: Array) -> tuple[Array, Array]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from petkin.fitting import Choices, FitResult, Given
+from petkin.fitting.integrals import input_columns
 from petkin.fitting.linear import LinearDesign
 from petkin.fitting.regression import Quantity, Regression, weights_and_noise
 from petkin.methods.late import Array, Axes, LateEquation, fit_late, without_blood
@@ -20,11 +20,10 @@ _QUANTITIES = (
 def _design(given: Given, vB: float) -> LinearDesign:
     """C = Ki int C_P + V0 C_P: the plot's axes multiplied by C_P, so that no noisy plasma value divides."""
     plasma, observation = given.input("Patlak").plasma, given.observation
-    area = observation.of_response(plasma, torch.zeros(1, dtype=torch.float64))[0].numpy()
-    shared = np.stack([area, observation.of_forcing(plasma).numpy()])
+    values, area = input_columns(plasma, observation)
     count = len(area)
     weights, blood = weights_and_noise(given.weights, "Patlak"), without_blood(given, vB, "Patlak")
-    return LinearDesign(shared, np.empty((0, count, count)), np.eye(count), *weights, *blood)
+    return LinearDesign(np.stack([area, values]), np.empty((0, count, count)), np.eye(count), *weights, *blood)
 
 
 def _axes(design: LinearDesign, tissue: Array, values: Array) -> tuple[Array, Array]:

@@ -1,0 +1,64 @@
+"""What the numbers of a regression say of every curve: estimates, percent errors, chi-square and status, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from petkin.fitting.results import Status
+
+Array = NDArray[np.float64]
+
+_OK, _UNSURE = np.uint8(Status.OK), np.uint8(Status.NOT_IDENTIFIABLE)
+_SILENT, _BROKEN = np.uint8(Status.NO_SIGNAL), np.uint8(Status.NOT_FINITE)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def delta_variances(slopes, covariance, variances):
+    """d' C d of M quantities: slopes (M, p, n), covariance of the unknowns (p, p, n), answer (M, n)."""
+    for m in range(slopes.shape[0]):
+        for n in range(slopes.shape[2]):
+            variances[m, n] = 0.0
+        for i in range(slopes.shape[1]):
+            for j in range(i + 1):
+                times = 1.0 if i == j else 2.0
+                for n in range(slopes.shape[2]):
+                    variances[m, n] += times * slopes[m, i, n] * slopes[m, j, n] * covariance[i, j, n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def conclude(found, outcome, degrees, values, percent, chi2, status):
+    """Fill in the answers of some curves; what must not be used is NaN.
+
+    Args:
+        found: values (., n) and their variances at unit noise (., n), of which the first M are the quantities; weighted
+            residual sum of squares (n,), what it is at unit noise on average (n,), sum of the values of a curve (n,),
+            whether they are numbers (n,).
+        outcome: the quantity that the method is used for.
+        degrees: frames less unknowns.
+        values, percent, chi2, status: room for the answers (M, n) twice, (n,) twice.
+    """
+    estimates, variances, wrss, freedom, total, finite = found
+    chosen = estimates[outcome]
+    # Short loops over few arrays: with more the compiler gives up showing that they do not overlap.
+    for n in range(len(status)):
+        chi2[n] = wrss[n] / degrees if (total[n] > 0.0) & (abs(chosen[n]) < np.inf) else np.nan
+    for n in range(len(status)):
+        chi2[n] = chi2[n] if finite[n] else np.nan
+    for m in range(len(values)):
+        estimate, value = estimates[m], values[m]
+        for n in range(len(value)):
+            value[n] = estimate[n] if chi2[n] == chi2[n] else np.nan
+        variance, error = variances[m], percent[m]
+        for n in range(len(error)):
+            error[n] = np.sqrt(variance[n] * (wrss[n] / freedom[n]))
+        for n in range(len(error)):
+            error[n] = 100.0 * error[n] / abs(value[n])
+    told = percent[outcome]
+    for n in range(len(status)):
+        status[n] = _OK if told[n] <= 100.0 else _UNSURE
+    for n in range(len(status)):
+        status[n] = status[n] if total[n] > 0.0 else _SILENT
+    for n in range(len(status)):
+        status[n] = status[n] if finite[n] else _BROKEN

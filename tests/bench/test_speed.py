@@ -9,12 +9,14 @@ import pandas as pd
 import pytest
 
 from petkin.errors import InputError
+from petkin.fitting import Choices, Given
+from petkin.methods import find_method
 from petkin_bench.accuracy import SETS, measure_accuracy
 from petkin_bench.by_hand import costs_of, fit_by_hand
-from petkin_bench.graphical import measure_graphical
+from petkin_bench.graphical import measure_graphical, patlak_in_numpy
 from petkin_bench.problems import DRAWN, fit_problem
 from petkin_bench.provenance import append_rows
-from petkin_bench.speed import measure_model
+from petkin_bench.speed import as_read, measure_model
 from petkin_bench.whole_image import measure_image
 
 
@@ -45,6 +47,18 @@ def test_by_hand_finds_the_truth_without_noise() -> None:
 def test_graphical_methods_are_timed_against_a_matrix_product() -> None:
     row = measure_graphical("Patlak", voxels=5000)
     assert float(str(row["voxels_per_s"])) > 10_000
+
+
+def test_numpy_s_patlak_delivers_what_petkin_s_does() -> None:
+    problem = fit_problem(voxels=200)
+    late, area = problem.observation.frames.mid >= 20.0, problem.closed_form.basis(0.0)
+    values, percent, chi2, finite = patlak_in_numpy(problem, as_read(problem), late, area)
+    given = Given(problem.observation, problem.weights, problem.arterial)
+    ours = find_method("Patlak").fit(as_read(problem), given, Choices(t_star=20.0), True)
+    assert finite.all()
+    np.testing.assert_allclose(values, [ours["Ki"], ours["V0"]], rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(percent[0], ours.percent_se("Ki"), rtol=1e-2)
+    np.testing.assert_allclose(chi2, ours.chi2, rtol=1e-2)
 
 
 def test_a_whole_image_goes_from_file_to_maps(tmp_path) -> None:

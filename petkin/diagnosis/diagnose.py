@@ -20,7 +20,7 @@ from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, refit
 from petkin.diagnosis.scan import Scan, start, templates
 from petkin.diagnosis.sets import confusability, probabilities, smallest_set
-from petkin.diagnosis.unknown import Smooth, left_over
+from petkin.diagnosis.unknown import Smooth, beside
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import over
 from petkin.diagnosis.which import Candidate, again, refitted, singles
@@ -142,8 +142,8 @@ def _verdict(
 ) -> Diagnosis:
     shape = (data.shape[0], data.shape[1])
     noise, base, ranked, projection = explained.noise, explained.base, explained.ranked, explained.projection
-    unnamed = left_over(simulator.times, noise, ranked, float(explained.scan.unknown(base.residual)))
-    probability, unknown = probabilities({c.label: c.log_evidence for c in ranked}, unnamed)
+    unnamed, named = float(explained.scan.unknown(base.residual)), beside(simulator.times, noise, ranked)
+    probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed)
     present = p <= CLAIM
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
     listed = [c if c.fit is not None else _with_fit(simulator, data, explained, c) for c in listed]

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 10, 1.0
 #: Explanations beside which it is looked for.
-_BESIDE = 4
+_BESIDE = 16
 
 
 class Explanation(Protocol):
@@ -83,19 +83,22 @@ def discrepancies(values: Array, times: Array) -> Array:
     return np.concatenate([common, alone.reshape(-1, *values.shape)])
 
 
-def left_over(times: Array, noise: Noise, ranked: Sequence[Explanation], alone: float) -> float:
-    """log evidence of a gap of no name, alone or beside any of the likeliest explanations.
+def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[float]:
+    """log evidence of each explanation with what it leaves explained by a gap of no name beside it; ranked as they are.
+
+    A name that a smooth discrepancy cannot stand in for keeps its claim, whatever else is in the data.
 
     Args:
         times: of the samples.
         noise: its covariance.
-        ranked: explanations, best first.
-        alone: log evidence of a discrepancy in place of them all.
+        ranked: explanations, best first; those far down, or without a fit, keep their own evidence.
     """
-    found = [alone]
-    for candidate in [c for c in ranked if c.fit is not None][:_BESIDE]:
-        fit = candidate.fit
-        assert fit is not None
-        smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
-        found.append(candidate.log_evidence + float(smooth.evidence(fit.residual)))
-    return float(np.logaddexp.reduce(found))
+    found, looked = [], 0
+    for candidate in ranked:
+        fit, value = candidate.fit, candidate.log_evidence
+        if fit is not None and looked < _BESIDE:
+            smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
+            value = float(np.logaddexp(value, value + float(smooth.evidence(fit.residual))))
+            looked += 1
+        found.append(value)
+    return found

@@ -26,8 +26,6 @@ _DARK = 1e-4
 _GAIN = 5.0
 #: Numbers that describe a channel of a frame.
 _MOMENTS = 6
-#: Batches that tell the mean and the spread of moments.
-_SETTLED = 100
 
 
 class Stack(nn.Module):
@@ -102,11 +100,16 @@ class Moments(nn.Module):
         said = [torch.log(mass + _DARK) / 4.0 + 1.0, u, v, 2.0 * wide.sqrt(), 2.0 * high.sqrt(), slant]
         return torch.cat(said, dim=-1).movedim(1, -1)
 
+    @torch.no_grad()
+    def settle(self, series: Float[Tensor, "n T C H W"]) -> None:
+        """Take the usual mean and spread of moments from these series; before, they are 0 and 1.
+
+        Training adds nothing to them, so it sees no batch noise, and all processes that share it see the same.
+        """
+        self.usual.reset_running_stats()
+        self.usual.train()(self.describe(series))
+
     def _standard(self, said: Float[Tensor, "n c T"]) -> Float[Tensor, "n c T"]:
-        """Over the mean and spread of the first batches; later ones add nothing, so training sees no batch noise."""
-        if self.training and int(self.usual.num_batches_tracked) < _SETTLED:  # type: ignore[arg-type]
-            with torch.no_grad():
-                self.usual(said)
         return batch_norm(said, self.usual.running_mean, self.usual.running_var, eps=self.usual.eps)
 
 

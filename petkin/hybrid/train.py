@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 
 import torch
@@ -31,6 +32,9 @@ from petkin.hybrid.schedule import Settings, compared, frames_at, learning_rate
 from petkin.hybrid.strategies import find_strategy
 from petkin.hybrid.validation import Validation
 from petkin.hybrid.watch import Watch
+
+#: Episodes that tell encoders what is usual.
+_SETTLING = 8
 
 
 @dataclass
@@ -113,6 +117,8 @@ def _attempt(make: Maker, data: Dataset, settings: Settings, validation: Dataset
     if files.checkpoint is not None and files.checkpoint.is_file():
         _resume(files.checkpoint, run, kept, optimiser, generator, settings)
     batches = episodes(data, dynamics=settings.dynamics, series=settings.series, generator=generator)
+    if run.step == 0:
+        _settle(run.model, data, settings)
     watch, ended = Watch(), run.step >= settings.steps or kept.plateau
     run.model.train()
     while not ended:
@@ -130,6 +136,19 @@ def _attempt(make: Maker, data: Dataset, settings: Settings, validation: Dataset
         run.model.load_state_dict(kept.best)
     run.model.eval()
     return run
+
+
+def _settle(model: Identifier, data: Dataset, settings: Settings) -> None:
+    """Let encoders that ask for it see what is usual: the same episodes in every process, drawn for this alone."""
+    asking = [m for m in (model.context, model.first) if hasattr(m, "settle")]
+    if not asking:
+        return
+    generator = torch.Generator().manual_seed(settings.seed)
+    drawn = episodes(data, dynamics=settings.dynamics, series=settings.series, generator=generator)
+    with torch.no_grad():
+        series = [model.task.emission.observe(batch.states).flatten(0, 1) for batch in islice(drawn, _SETTLING)]
+    for encoder in asking:
+        encoder.settle(torch.cat(series))  # type: ignore[operator]
 
 
 def _share(batches: Iterator[Dataset], settings: Settings, generator: torch.Generator) -> Iterator[tuple[Dataset, int]]:

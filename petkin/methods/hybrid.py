@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 from petkin.errors import InputError
 from petkin.fitting import Choices, Estimate, FitResult, Given, Plot, Status
 from petkin.kinetics import ONE_TISSUE, Macro
-from petkin.learning import Identified, Known, Measured, identify_scan
 from petkin.methods.method import Method
+
+if TYPE_CHECKING:
+    from petkin.learning import Identified
 
 _VOLUME = Macro("VT", "mL cm^-3", lambda K1, k2: K1 / k2, "C_T/C_P at rest, with the learned correction")
 #: Curves in a picture.
@@ -20,6 +23,8 @@ _SHOWN = 6
 
 
 def _fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: bool) -> FitResult:
+    from petkin.learning import Known, Measured, identify_scan
+
     arterial = given.input("hybrid")
     if choices.checkpoint is None:
         raise InputError("--model hybrid needs --checkpoint FILE, made by petkin train.")

@@ -37,9 +37,10 @@ def test_the_naive_form_has_the_same_loss_for_the_same_contexts():
 def test_naive_training_lowers_the_loss():
     torch.manual_seed(0)
     naive, losses = Naive(_model(), None), []
-    settings = Settings(steps=8, dynamics=1, series=4, rate=3e-3)
-    train_naive(naive.train(), draw(_PENDULUM, 3, 8, seed=0), settings, lambda step, loss: losses.append(loss))
-    assert sum(losses[-4:]) < sum(losses[:4])
+    settings = Settings(steps=60, dynamics=1, series=4, rate=3e-3)
+    one = draw(_PENDULUM, 1, 4, seed=0)  # the same four series at every step, so that only learning changes the loss
+    train_naive(naive.train(), one, settings, lambda step, loss: losses.append(loss))
+    assert sum(losses[-10:]) < 0.9 * sum(losses[:10])
 
 
 def test_a_clock_finds_when_the_target_was_reached():

@@ -21,12 +21,12 @@ def _inside(errors: Tensor, spread: Tensor) -> float:
 
 def test_intervals_hold_what_they_say():
     pendulum, preset = find_system("pendulum"), find_preset("tiny")
-    settings = replace(preset.of("pendulum"), steps=80)
+    settings = replace(preset.of("pendulum"), steps=160)
     model = train(
         lambda seed: build(pendulum, "meta_hylad", preset, seed), draw(pendulum, 30, 9, seed=1), settings
     ).model
-    bars = teach_error_bars(model, draw(pendulum, 60, 9, seed=4), contexts=(1, 3, 7), physics=(0,), steps=200)
-    unseen = draw(pendulum, 40, 9, seed=2)
+    bars = teach_error_bars(model, draw(pendulum, 120, 9, seed=4), contexts=(1, 3, 7), physics=(0,), steps=200)
+    unseen = draw(pendulum, 200, 9, seed=2)
     with torch.no_grad():
         said = model.encode(model.task.emission.observe(unseen.states))
         widths = []

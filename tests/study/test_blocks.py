@@ -62,7 +62,7 @@ def test_blocks_on_disk_give_the_bytes_of_memory(tmp_path: Path, problem, monkey
     in_memory = everything(tmp_path / "out")
     assert not list(tmp_path.glob(".petkin-*"))
 
-    def small(self: Resources, series, voxels: int, models: int) -> Plan:
+    def small(self: Resources, series, voxels: int, models: int, *, denoised: bool = False) -> Plan:
         return Plan(self, on_disk=True, block=7, maps=1)
 
     monkeypatch.setattr(Resources, "plan", small)

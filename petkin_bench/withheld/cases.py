@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, UNKNOWN, Cause, Draw, draw
+from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, UNKNOWN, Cause, draw
+from petkin_bench.withheld.changes import Draw
 from petkin_bench.withheld.noise import KINDS, NoiseLaw, law, noisy
 from petkin_bench.withheld.observe import Change, observe
 from petkin_bench.withheld.subject import Blood, Frames, Subject, draw_subject

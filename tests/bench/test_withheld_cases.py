@@ -10,7 +10,8 @@ import pytest
 
 from petkin_bench.withheld import run as runs
 from petkin_bench.withheld.cases import SPLITS, case
-from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, UNKNOWN, draw, smeared
+from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, UNKNOWN, draw
+from petkin_bench.withheld.changes import smeared
 from petkin_bench.withheld.noise import law, noisy
 from petkin_bench.withheld.observe import Change, observe, tissue
 from petkin_bench.withheld.score import Judged, auroc, calibration_error, metrics, text_of

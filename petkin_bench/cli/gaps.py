@@ -1,0 +1,91 @@
+"""Blind checks of the diagnosis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def diagnose(
+    system: Annotated[str, typer.Option(help="pendulum, mass_spring or bouncing_ball.")],
+    effect: Annotated[str | None, typer.Option(help="NAME or NAME=SHARE of its range; default: the catalogue.")] = None,
+    trials: Annotated[int, typer.Option(help="Runs from starts of their own.", min=1)] = 3,
+    noise: Annotated[float, typer.Option(help="Of a place, in units of the picture's half.", min=1e-6)] = 0.01,
+    seed: Annotated[int, typer.Option(help="Of starts, parameters and noise.", min=0)] = 0,
+    single_flight: Annotated[bool, typer.Option("--single-flight", help="Watch briefly, without walls.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the answer about one effect.")] = None,
+) -> None:
+    """Put one effect into runs of a physics system and ask the engine of `petkin diagnose` what is missing.
+
+    With --effect, one case whose answer is printed (and written); without, every effect of the catalogue at half of its
+    range and as many runs without any, appended to petkin_bench/results/moving_bodies.csv.
+    """
+    from petkin_bench.gaps import find_body, withheld
+    from petkin_bench.provenance import append_rows
+
+    body = withheld.single_flight(find_body(system)) if single_flight else find_body(system)
+    if effect is None:
+        rows = withheld.measure_body(body, share=0.5, trials=trials, noise=noise, seed=seed)
+        for row in rows:
+            typer.echo(f"{row['effect'] or 'nothing':20} d' {row['d_prime']:8}  {row['kind']:10} {row['set']}")
+        typer.echo(f"Appended to {append_rows('moving_bodies', [row | {'seed': seed} for row in rows])}")
+        return
+    answer = withheld.one_case(body, effect, trials=trials, noise=noise, seed=seed)
+    typer.echo(answer["verdict"]["sentence"])
+    if out is not None:
+        from petkin.io import json_text, write_text
+
+        out.mkdir(parents=True, exist_ok=True)
+        write_text(out / f"{answer['subject']}_desc-gap_report.json", json_text(answer))
+
+
+def real_scans(
+    data: Annotated[Path, typer.Option(help="PET-BIDS study with regional curves and blood.")],
+    subject: Annotated[list[str] | None, typer.Option(help="Only this subject; repeatable.")] = None,
+    seg: Annotated[str | None, typer.Option(help="Which table of curves, by its seg- label.")] = None,
+    seed: Annotated[int, typer.Option(help="Of blunders, twins and draws.", min=0)] = 0,
+) -> None:
+    """Withhold effects from the simulator, and put blunders into the curves, of real scans; ask what is missing.
+
+    Rows are appended to petkin_bench/results/real_scans.csv.
+    """
+    import pandas as pd
+
+    from petkin_bench.provenance import append_rows
+    from petkin_bench.real_scans import measure_real, summary
+
+    rows = measure_real(data, subjects=tuple(subject or ()), seg=seg, seed=seed)
+    typer.echo(pd.DataFrame(summary(rows)).to_string(index=False))
+    typer.echo(f"Appended to {append_rows('real_scans', [row | {'seed': seed} for row in rows])}")
+
+
+def withheld(
+    cases: Annotated[int, typer.Option(help="Scans; those with a verdict are not judged again.", min=1)] = 150,
+    seed: Annotated[int, typer.Option(help="Of the scans; splits never share one.", min=0)] = 0,
+    split: Annotated[str, typer.Option(help="scored, or training for calibration.")] = "scored",
+    regions: Annotated[int, typer.Option(help="A scan.", min=2)] = 5,
+    draws: Annotated[int, typer.Option(help="Noise draws of each diagnosis.", min=20)] = 400,
+    workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
+    work: Annotated[Path, typer.Option(help="Folder of verdicts and answers.")] = Path("bench-withheld"),
+    results: Annotated[
+        Path | None, typer.Option(help="Folder for the metrics, as withheld.csv; default: none.")
+    ] = None,
+) -> None:
+    """Blind check of `petkin diagnose`: effects withheld from the simulator, made by a generator of its own.
+
+    Verdicts are appended as they come, each with the digest of its answer; answers lie in a file of their own. They
+    are scored when all verdicts are there.
+    """
+    from petkin_bench.provenance import append_rows
+    from petkin_bench.withheld.run import Plan, run
+    from petkin_bench.withheld.score import joined, metrics, text_of
+
+    plan = Plan(split, seed, cases, regions, draws)
+    found = metrics(joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True))))
+    typer.echo(text_of(found))
+    if results is not None:
+        settings = {"split": split, "seed": seed, "scans": cases, "regions": regions, "draws": draws}
+        rows = [settings | {"metric": m.name, "value": m.value, "cases": m.cases, "bar": m.bar} for m in found]
+        typer.echo(f"Appended to {append_rows('withheld', rows, results)}")

@@ -1,7 +1,7 @@
 """Real curves, the later half withheld: fits of the earlier half against what other people's scans teach.
 
 Every person is left out in turn. From the whole curves of the others a prior is learned, with one tissue compartment
-and with the hybrid on it (`petkin.learning.common`); the person's own curves are seen until half of the scan, and
+and with the hybrid on it (`petkin.learning.prior`); the person's own curves are seen until half of the scan, and
 forecast until its end. The plain fits of one and two tissue compartments see the same frames. The delay of the input
 is estimated from those frames as well; the blood is known until the end of the scan.
 """
@@ -24,7 +24,7 @@ from petkin.hybrid import Settings
 from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction
 from petkin.kinetics import TWO_TISSUE, compartment_model
-from petkin.learning import Common, Conditions, Curves, Known, identify, learn, tissue_task
+from petkin.learning import Conditions, Curves, Known, TissuePrior, identify, learn, tissue_task
 from petkin.study.arterial import arterial_input
 from petkin.study.reading import read_sources
 from petkin.study.request import FitRequest
@@ -138,13 +138,13 @@ def _learned(
     scans: tuple[Scan, ...], conditions: Conditions, person: str, dynamics: str, sees: str
 ) -> list[tuple[Scan, Array]]:
     task = tissue_task(dynamics, conditions, _BOUNDS, residual=sees or "C_T")
-    common = Common(task)
-    learn(common, _together(scans, [s.person != person for s in scans], whole=True), _LEARN)
+    prior = TissuePrior(task)
+    learn(prior, _together(scans, [s.person != person for s in scans], whole=True), _LEARN)
     mine = [s.person == person for s in scans]
     curves = _together(scans, mine, whole=False)
     with torch.no_grad():
-        u = identify(common, curves, _IDENTIFY)
-        values = common.predict(u, curves.amounts)[..., 1].double().numpy()
+        u = identify(prior, curves, _IDENTIFY)
+        values = prior.predict(u, curves.amounts)[..., 1].double().numpy()
     own = [scan for scan, is_mine in zip(scans, mine) if is_mine]
     parts = np.split(values, np.cumsum([len(scan.curves) for scan in own])[:-1])
     return [(scan, part / _scale(scan)) for scan, part in zip(own, parts)]

@@ -1,8 +1,8 @@
 """Learning: tissue known in part, identified by the hybrid engine from frames under known inputs."""
 
-from petkin.learning.common import Common, Curves, Keep, identify, learn
 from petkin.learning.errors import SHARES, curve_errors, predict
 from petkin.learning.population import PAPER, Population, draw
+from petkin.learning.prior import Curves, Keep, TissuePrior, identify, learn
 from petkin.learning.responses import Known, Responses
 from petkin.learning.tissue import PRIORS, RESIDUALS, Conditions, tissue_model, tissue_task
 from petkin.learning.tracer import (
@@ -20,7 +20,6 @@ __all__ = [
     "PRIORS",
     "RESIDUALS",
     "SHARES",
-    "Common",
     "Conditions",
     "Curves",
     "Identified",
@@ -29,6 +28,7 @@ __all__ = [
     "Measured",
     "Population",
     "Responses",
+    "TissuePrior",
     "conditions_of",
     "curve_errors",
     "draw",

@@ -18,9 +18,9 @@ from torch import Tensor
 from petkin.errors import InputError
 from petkin.hybrid import HybridField, Settings, load_tensors
 from petkin.hybrid.checkpoint import below
-from petkin.learning.common import Common, Curves, Keep, identify, learn
 from petkin.learning.flow import TissueFlow
 from petkin.learning.population import Population, draw
+from petkin.learning.prior import Curves, Keep, TissuePrior, identify, learn
 from petkin.learning.responses import Known
 from petkin.learning.tissue import Conditions, tissue_task
 
@@ -106,8 +106,8 @@ def train_tracer(
         "seed": settings.seed,
         **card,
     }
-    common = Common(tissue_task("meta_hylad", conditions, BOUNDS, residual=residual), settings.seed)
-    learn(common, curves, settings, progress, Keep(path, full))
+    prior = TissuePrior(tissue_task("meta_hylad", conditions, BOUNDS, residual=residual), settings.seed)
+    learn(prior, curves, settings, progress, Keep(path, full))
 
 
 def conditions_of(scans: Sequence[Measured]) -> Conditions:
@@ -172,14 +172,14 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
     _check(path, card, half_life)
     conditions = conditions_of([scan])
     bounds = {symbol: (pair[0], pair[1]) for symbol, pair in card["bounds"].items()}
-    common = Common(tissue_task("meta_hylad", conditions, bounds, residual=card["residual"]))
-    common.load_state_dict(dict(below("common.", tensors)))
+    prior = TissuePrior(tissue_task("meta_hylad", conditions, bounds, residual=card["residual"]))
+    prior.load_state_dict(dict(below("prior.", tensors)))
     curves = together([scan])
-    u = identify(common, curves, _IDENTIFY)
+    u = identify(prior, curves, _IDENTIFY)
     with torch.no_grad():
-        tissue, learned = _residual(common, u, curves)
-        predicted = common.predict(u, curves.amounts)[..., 1]
-        physics, errors = _quantities(common, u, curves, _late_plasma(conditions, curves))
+        tissue, learned = _residual(prior, u, curves)
+        predicted = prior.predict(u, curves.amounts)[..., 1]
+        physics, errors = _quantities(prior, u, curves, _late_plasma(conditions, curves))
     back = 1.0 / scan.scale
     return Identified(
         physics,
@@ -188,7 +188,7 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
         conditions.grid.nodes,
         back * tissue,
         back * learned,
-        back**2 * common.misfit(u, curves).detach() / curves.weights.count_nonzero(dim=1),
+        back**2 * prior.misfit(u, curves).detach() / curves.weights.count_nonzero(dim=1),
         _beyond(card, scan, curves),
     )
 
@@ -220,9 +220,9 @@ def _beyond(card: Mapping[str, Any], scan: Measured, curves: Curves) -> tuple[st
     return tuple(sentences)
 
 
-def _residual(common: Common, u: Tensor, curves: Curves) -> tuple[Tensor, Tensor]:
+def _residual(prior: TissuePrior, u: Tensor, curves: Curves) -> tuple[Tensor, Tensor]:
     """C_T and f_NN at the nodes."""
-    flow, field, physics = common.task.flow, common.field(u), common.physics(u)
+    flow, field, physics = prior.task.flow, prior.field(u), prior.physics(u)
     assert isinstance(flow, TissueFlow)
     assert isinstance(field, HybridField)
     linear, _, _ = flow.linear(physics, curves.amounts)
@@ -231,20 +231,20 @@ def _residual(common: Common, u: Tensor, curves: Curves) -> tuple[Tensor, Tensor
     return states[0], slopes + physics[:, 1:2] * (states[0] - linear)
 
 
-def _quantities(common: Common, u: Tensor, curves: Curves, plasma: Tensor) -> tuple[Tensor, Tensor]:
+def _quantities(prior: TissuePrior, u: Tensor, curves: Curves, plasma: Tensor) -> tuple[Tensor, Tensor]:
     """c_p and VT, and 100 |se / value| of them: Gauss-Newton curvature, by differences in u."""
     count = u.shape[1]
     moved = torch.stack([u + sign * _STEP * torch.eye(count)[i] for sign in (1.0, -1.0) for i in range(count)])
     around = torch.cat([u[None], moved]).flatten(0, 1)
     times = 1 + 2 * count
-    frames = common.predict(around, curves.amounts.repeat(times, 1))[..., 1].unflatten(0, (times, -1))
-    known = common.physics(around)
-    volume = _volume(common, around, plasma.repeat(times))
+    frames = prior.predict(around, curves.amounts.repeat(times, 1))[..., 1].unflatten(0, (times, -1))
+    known = prior.physics(around)
+    volume = _volume(prior, around, plasma.repeat(times))
     values = torch.cat([known, volume[:, None]], dim=1).unflatten(0, (times, -1))
     slopes, ways = (
         ((part[1 : 1 + count] - part[1 + count :]) / (2.0 * _STEP)).movedim(0, -1) for part in (frames, values)
     )
-    curvature = slopes.mT @ (curves.weights[..., None] * slopes) / common.variance + common.precision
+    curvature = slopes.mT @ (curves.weights[..., None] * slopes) / prior.variance + prior.precision
     variance = (ways @ torch.linalg.inv(curvature) * ways).sum(dim=-1)
     return values[0], 100.0 * variance.sqrt() / values[0].abs().clamp_min(1e-9)
 
@@ -255,9 +255,9 @@ def _late_plasma(conditions: Conditions, curves: Curves) -> Tensor:
     return (curves.amounts @ conditions.responses.plasma)[:, late].mean(dim=-1)
 
 
-def _volume(common: Common, u: Tensor, plasma: Tensor) -> Tensor:
+def _volume(prior: TissuePrior, u: Tensor, plasma: Tensor) -> Tensor:
     """C_T / C_P after hours of constant plasma (n,); NaN where it still moves by a percent in the last fifth."""
-    field, physics = common.field(u), common.physics(u)
+    field, physics = prior.field(u), prior.physics(u)
     assert isinstance(field, HybridField)
     state, now, path = u.new_zeros(len(u), field.residual.outputs), u.new_zeros(()), []
     for _ in range(round(_HOURS * 60.0 / _EULER)):

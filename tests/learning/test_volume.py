@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import torch
 
-from petkin.learning import PAPER, Common, tissue_task
+from petkin.learning import PAPER, TissuePrior, tissue_task
 from petkin.learning.tracer import BOUNDS, _volume
 
 from .test_tissue import SHORT
 
 
 def test_without_a_correction_it_is_k1_over_k2():
-    common = Common(tissue_task("meta_hylad", SHORT.conditions, {**BOUNDS, "k2": (0.05, 0.2)}))
-    assert common.hyper is not None
-    last = common.hyper.layers[-1]
+    prior = TissuePrior(tissue_task("meta_hylad", SHORT.conditions, {**BOUNDS, "k2": (0.05, 0.2)}))
+    assert prior.hyper is not None
+    last = prior.hyper.layers[-1]
     with torch.no_grad():
-        for parameter in common.hyper.parameters():
+        for parameter in prior.hyper.parameters():
             parameter.zero_()
         last.bias.zero_()  # type: ignore[union-attr]
-        u = torch.zeros(2, common.mean.shape[0])
+        u = torch.zeros(2, prior.mean.shape[0])
         u[1, :2] = torch.tensor([1.0, -1.0])
-        physics = common.physics(u)
-        volume = _volume(common, u, torch.tensor([5.0, 9.0]))
+        physics = prior.physics(u)
+        volume = _volume(prior, u, torch.tensor([5.0, 9.0]))
     torch.testing.assert_close(volume, physics[:, 0] / physics[:, 1], rtol=1e-4, atol=0.0)
     assert PAPER.model.rates == 4

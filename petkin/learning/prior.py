@@ -54,7 +54,7 @@ class Curves:
     amounts: Float[Tensor, "n J"]
 
 
-class Common(nn.Module):
+class TissuePrior(nn.Module):
     """The hypernetwork and the prior.
 
     Args:
@@ -108,7 +108,7 @@ class Common(nn.Module):
 
 
 def learn(
-    common: Common,
+    prior: TissuePrior,
     curves: Curves,
     settings: Settings,
     progress: Callable[[int, float], None] = lambda step, misfit: None,
@@ -117,7 +117,7 @@ def learn(
     """Learn the hypernetwork from curves, then take mean and spread of their u as the prior.
 
     Args:
-        common: is changed.
+        prior: is changed.
         curves: of the population.
         settings: steps, rate, clip, seed.
         progress: told the step and the mean squared misfit.
@@ -131,46 +131,46 @@ def learn(
         NumericalError: it left the numbers.
     """
     generator = torch.Generator().manual_seed(settings.seed)
-    spread = _START * torch.randn(len(curves.values), common.code, generator=generator)
-    u = common.mean + torch.nn.functional.pad(spread, (len(common.lower), 0))
+    spread = _START * torch.randn(len(curves.values), prior.code, generator=generator)
+    u = prior.mean + torch.nn.functional.pad(spread, (len(prior.lower), 0))
     frames = curves.weights.count_nonzero()
 
     def cost(u: Tensor) -> tuple[Tensor, Tensor]:
-        misfit = common.misfit(u, curves).sum()
-        return 0.5 * frames * torch.log(misfit) + 0.5 * common.strangeness(u).sum(), misfit / frames
+        misfit = prior.misfit(u, curves).sum()
+        return 0.5 * frames * torch.log(misfit) + 0.5 * prior.strangeness(u).sum(), misfit / frames
 
-    descent = _Descent.of(u, list(common.parameters()), settings)
+    descent = _Descent.of(u, list(prior.parameters()), settings)
     if keep is not None and keep.path.is_file():
-        keep.resume(common, descent)
+        keep.resume(prior, descent)
     while descent.step < settings.steps:
         misfit = descent.move(cost, settings)
         progress(descent.step, misfit)
         if keep is not None and descent.step % settings.save_every == 0:
-            keep.save(common, descent)
+            keep.save(prior, descent)
     u = descent.u.detach()
     if not keep or not keep.complete:
-        _take_prior(common, u, cost(u)[1].detach())
+        _take_prior(prior, u, cost(u)[1].detach())
     if keep is not None:
-        keep.save(common, descent)
+        keep.save(prior, descent)
     return u
 
 
-def _take_prior(common: Common, u: Tensor, left: Tensor) -> None:
-    common.variance.copy_(left)
-    common.mean.copy_(u.mean(dim=0))
+def _take_prior(prior: TissuePrior, u: Tensor, left: Tensor) -> None:
+    prior.variance.copy_(left)
+    prior.mean.copy_(u.mean(dim=0))
     spread = torch.atleast_2d(torch.cov(u.T)) + _LEAST * torch.eye(u.shape[1])
-    common.precision.copy_(torch.linalg.inv(spread))
+    prior.precision.copy_(torch.linalg.inv(spread))
 
 
-def identify(common: Common, curves: Curves, settings: Settings) -> Tensor:
+def identify(prior: TissuePrior, curves: Curves, settings: Settings) -> Tensor:
     """u of curves (n, v) under the prior, each for itself."""
 
     def cost(u: Tensor) -> tuple[Tensor, Tensor]:
-        misfit = common.misfit(u, curves)
-        return (0.5 * misfit / common.variance + 0.5 * common.strangeness(u)).sum(), misfit.mean()
+        misfit = prior.misfit(u, curves)
+        return (0.5 * misfit / prior.variance + 0.5 * prior.strangeness(u)).sum(), misfit.mean()
 
     with torch.enable_grad():
-        descent = _Descent.of(common.mean.expand(len(curves.values), -1).clone(), [], settings)
+        descent = _Descent.of(prior.mean.expand(len(curves.values), -1).clone(), [], settings)
         for _ in range(settings.steps):
             descent.move(cost, settings)
     return descent.u.detach()
@@ -237,20 +237,20 @@ class Keep:
     card: Mapping[str, Any]
     complete: bool = False
 
-    def save(self, common: Common, descent: _Descent) -> None:
-        tensors = {f"common.{name}": value for name, value in common.state_dict().items()}
+    def save(self, prior: TissuePrior, descent: _Descent) -> None:
+        tensors = {f"prior.{name}": value for name, value in prior.state_dict().items()}
         tensors |= {f"adam.{name}": value for name, value in optimiser_tensors(descent.optimiser).items()}
         tensors |= {"u": descent.u, "misfits": torch.tensor(descent.misfits, dtype=torch.float64)}
         tensors["pace"] = torch.tensor(descent.pace, dtype=torch.float64)
         save_tensors(self.path, tensors, {**self.card, "step": descent.step})
         write_log(self.path.with_suffix(".csv"), descent.misfits, [])
 
-    def resume(self, common: Common, descent: _Descent) -> None:
+    def resume(self, prior: TissuePrior, descent: _Descent) -> None:
         tensors, card = load_tensors(self.path)
         step = int(card.pop("step", -1))
         if card != json.loads(json.dumps(dict(self.card))):
             raise InputError(f"{self.path}: a checkpoint of another training; give another file or remove it.")
-        common.load_state_dict(dict(below("common.", tensors)))
+        prior.load_state_dict(dict(below("prior.", tensors)))
         restore_optimiser(descent.optimiser, dict(below("adam.", tensors)))
         descent.u.data.copy_(tensors["u"])
         descent.step, descent.misfits, descent.pace = step, tensors["misfits"].tolist(), float(tensors["pace"])

@@ -13,13 +13,14 @@ Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Cli
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from petkin.diagnosis.diagnose import CLAIM
+from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.sets import probabilities, smallest_set
 from petkin.diagnosis.verdict import Diagnosis
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 #: Prevalences tried, from where a cause is shared rather than chance; the chance that a member without it has no gap.
 _PREVALENCES = np.linspace(0.15, 0.99, 43)
 _NO_GAP = 0.5
-#: Log evidence of a pair that was not looked at in a member, below its better half.
-_UNSEEN_PAIR = 6.0
 _TAILS, _Z90 = (0.05, 0.95), 1.6448536269514722
 _LISTED, _NEGLIGIBLE = 8, 0.005
 
@@ -76,7 +75,7 @@ class Member:
         """Log evidence of all explanations that hold these effects, averaged over the pairs a second could make."""
         within = [value for label, value in self.evidence.items() if set(names) <= set(label.split("+"))]
         if len(names) == 2 and not within:
-            return max(self.evidence.get(name, 0.0) for name in names) - _UNSEEN_PAIR
+            return max(self.evidence.get(name, 0.0) for name in names) - SECOND
         return float(np.logaddexp.reduce(within)) if within else 0.0
 
     @property
@@ -166,19 +165,7 @@ def in_common(members: Sequence[Member]) -> Cohort:
     chosen: tuple[str, ...] = ()
     if p <= CLAIM and unshared < 0.5 and listed:
         chosen = smallest_set({c.label: probability[c.label] for c in listed}, _alike(members))
-    causes = tuple(
-        SharedCause(
-            c.effects,
-            probability[c.label],
-            c.log_evidence,
-            c.prevalence,
-            c.carriers,
-            c.mean,
-            c.between,
-            c.unit,
-        )
-        for c in listed
-    )
+    causes = tuple(replace(c, probability=probability[c.label]) for c in listed)
     total = sum(probability[name] for name in chosen)
     return Cohort(tuple(members), p, causes if p <= CLAIM else (), unshared, chosen, total)
 

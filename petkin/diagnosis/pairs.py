@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from petkin.diagnosis.effect import Hypothesis, Simulator, Term
+from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
@@ -25,8 +26,6 @@ from petkin.diagnosis.which import Candidate, after_refit, refitted
 
 Array = NDArray[np.float64]
 
-#: What a second effect costs in log evidence: most gaps have one cause.
-_SECOND = 6.0
 #: Leaders within this of the best are given a second effect, no more than so many; pairs refitted of those found beside
 #: them and jointly.
 _WITHIN, _LEADERS, _BESIDE, _JOINTLY = 7.0, 4, 5, 5
@@ -63,7 +62,7 @@ def pairs(
 
 
 def _likeliest(wanted: dict[tuple[str, ...], _Wanted], best: float, most: int) -> list[_Wanted]:
-    close = [w for w in wanted.values() if w.score - _SECOND > best - _CLOSE]
+    close = [w for w in wanted.values() if w.score - SECOND > best - _CLOSE]
     return sorted(close, key=lambda w: -w.score)[:most]
 
 
@@ -71,10 +70,10 @@ def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted
     leader = None if wanted.begin is None else wanted.begin.fit
     pair = refitted(simulator, data, noise, base, wanted.terms, leader)
     if wanted.begin is None or leader is None or pair.fit is None:
-        return replace(pair, log_evidence=pair.log_evidence - wanted.excess - _SECOND)
+        return replace(pair, log_evidence=pair.log_evidence - wanted.excess - SECOND)
     second = after_refit(leader, pair.fit, len(simulator.channels), len(leader.state.terms))
     second += wanted.terms[-1].hypothesis.log_odds
-    return replace(pair, log_evidence=wanted.begin.log_evidence + second - wanted.excess - _SECOND)
+    return replace(pair, log_evidence=wanted.begin.log_evidence + second - wanted.excess - SECOND)
 
 
 def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _Wanted]:

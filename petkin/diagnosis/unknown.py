@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 10, 1.0
-#: Log odds that two causes pay beyond one, as pairs of names do.
-_SECOND = 6.0
 #: Explanations beside which it is looked for.
 _BESIDE = 16
 
@@ -100,7 +98,7 @@ def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[fl
         fit, value = candidate.fit, candidate.log_evidence
         if fit is not None and looked < _BESIDE:
             smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
-            value = float(np.logaddexp(value, value + float(smooth.evidence(fit.residual)) - _SECOND))
+            value = float(np.logaddexp(value, value + float(smooth.evidence(fit.residual)) - evidence.SECOND))
             looked += 1
         found.append(value)
     return found

@@ -95,9 +95,7 @@ def _measured(job: Job, preset: Preset, model, remarks: str) -> list[dict[str, o
         data = draw(physics, *preset.test, seed=_SEED_TEST + int(outside), outside=outside)
         for what, strategy, k in ways:
             k = min(k, 7)
-            found = measure(
-                model, data, find_strategy(strategy), k, physics=physics.places(symbols), meant=physics.meant
-            )
+            found = measure(model, data, find_strategy(strategy), k, physics=physics.places(symbols))
             head = dict(zip(_KEY, key(job, preset)))
             rows.append({**head, "split": split, "test": what, "k_test": k, **found, "remarks": remarks})
     return rows

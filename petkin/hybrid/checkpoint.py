@@ -6,6 +6,7 @@ import csv
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,22 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], card: Mapping[str, A
     """Tensors by name, and a card of plain values that says what they are."""
     from safetensors.torch import save_file
 
+    text = json.dumps(card, sort_keys=True, ensure_ascii=False)
+    plain = {name: tensor.detach().contiguous().cpu() for name, tensor in tensors.items()}
+    with _whole(path) as beside:
+        save_file(plain, beside, {_CARD: text})
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """A file to write beside `path`; it takes its place once it is complete, and is gone if it never was."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
-    text = json.dumps(card, sort_keys=True, ensure_ascii=False)
-    save_file({name: tensor.detach().contiguous().cpu() for name, tensor in tensors.items()}, beside, {_CARD: text})
-    beside.replace(path)
+    try:
+        yield beside
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -77,8 +89,7 @@ def restore_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, Te
 def write_log(path: Path, losses: Sequence[float], checks: Sequence[tuple[int, float]]) -> None:
     """A CSV row a step: its loss and, where there was a check, the error on the validation dynamics."""
     found = dict(checks)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
+    with _whole(path) as beside, beside.open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(("step", "loss", "validation"))
         rows.writerows((step, loss, found.get(step, "")) for step, loss in enumerate(losses, 1))

@@ -7,8 +7,6 @@ error is relative to their variance over the data, component by component.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -38,7 +36,6 @@ def measure(
     k: int,
     *,
     physics: tuple[int, ...],
-    meant: Callable[[Tensor], Tensor] | None = None,
 ) -> dict[str, float]:
     """Metrics of predictions over a dataset, dynamics by dynamics.
 
@@ -47,14 +44,13 @@ def measure(
         data: true states and parameters.
         strategy: what every series is predicted from, with k context series.
         physics: which of the full parameters c_p stands for, in its order; empty where it has no counterpart.
-        meant: what of c_p acts, where not all of it does (of a direction, not its length).
 
     Returns:
         mse_x, mse_z, vpt_x, vpt_z, and where they are defined mse_q (of the states that are seen), mse_cp and mse_f
         (f_NN against what is missing).
     """
     was, _ = model.training, model.eval()
-    rows = [_one(model, data, strategy, k, (physics, meant), m) for m in range(data.dynamics)]
+    rows = [_one(model, data, strategy, k, physics, m) for m in range(data.dynamics)]
     model.train(was)
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
@@ -64,7 +60,7 @@ def _one(
     data: Dataset,
     strategy: Strategy,
     k: int,
-    compared: tuple[tuple[int, ...], Callable[[Tensor], Tensor] | None],
+    physics: tuple[int, ...],
     m: int,
 ) -> dict[str, float]:
     task, states, truth = model.task, data.states[m : m + 1], data.truth[m : m + 1]
@@ -82,9 +78,8 @@ def _one(
     }
     if task.seen:
         row["mse_q"] = float(((predicted - states) ** 2)[..., list(task.seen)].mean())
-    physics, meant = compared
     if physics:
-        acting = found.physics if meant is None else meant(found.physics)
+        acting = found.physics if task.meant is None else task.meant(found.physics)
         row["mse_cp"] = float(((acting - truth[:, None, list(physics)]) ** 2).mean())
     if task.residual is not None and task.missing is not None:
         learned = model.residual(found.code, states, found.physics)

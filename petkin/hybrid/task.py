@@ -46,6 +46,7 @@ class Task:
         start: observed series [n, T, ...] -> z at the start [n, d], where it is known; else it is encoded.
         seen: components that observations show, whose errors are measured apart: a velocity that flips at a wall is
             wrong by twice itself for a hit that is a hair late.
+        meant: what of c_p acts, where not all of it does (of a direction, not its length); for measuring.
         missing: (states, full parameters) -> what f_NN should find, a row for each of the residual's; for measuring.
     """
 
@@ -62,6 +63,7 @@ class Task:
     start: Callable[[Tensor], Tensor] | None = None
     missing: Callable[[Tensor, Tensor], Tensor] | None = None
     seen: tuple[int, ...] = ()
+    meant: Callable[[Tensor], Tensor] | None = None
 
     def __post_init__(self) -> None:
         if self.known is None and self.residual is None:

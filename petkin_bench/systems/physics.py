@@ -114,6 +114,7 @@ class Physics:
             flow=self.flow,
             missing=self.missing if hybrid else None,
             seen=self.seen,
+            meant=None if full or neural else self.meant,
         )
 
 

@@ -111,6 +111,6 @@ RIGID_BODY = Physics(
     flow=RungeKutta(1),
     sizes=(192, 25),
     seen=tuple(range(7)),
-    meant=lambda p: _direction(p) if p.shape[-1] == 2 else p,
+    meant=_direction,
     rough=Cube(size=32, soft=0.35),
 )

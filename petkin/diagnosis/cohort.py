@@ -5,7 +5,12 @@ Every member has a shared cause e with probability pi, at a strength of its own,
     log B(e) = log int prod_i [(1 - pi) b_i + pi e_i] d pi - sum_i log b_i
 
 with e_i the evidence of all explanations of member i that hold e, and b_i that of none or any of the catalogue.
-Strengths are drawn about a common mean, with a spread between members by DerSimonian and Laird.
+Strengths are drawn about a common mean, with a spread between members by DerSimonian and Laird. Who carries the cause
+is then asked at the strength that it has in the others, where a strength s with error d speaks for it by
+
+    N(s; mean, spread^2 + error^2 + d^2) / N(s; 0, d^2):
+
+a member that shows none of a cause that is strong elsewhere does not have it weakly.
 
 Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Clin Trials 1986;7:177-188.
 """
@@ -20,10 +25,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from petkin.diagnosis.diagnose import CLAIM
-from petkin.diagnosis.evidence import SECOND
+from petkin.diagnosis.evidence import SECOND, two_sided
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.sets import probabilities, smallest_set
-from petkin.diagnosis.verdict import Diagnosis
+from petkin.diagnosis.verdict import Diagnosis, Estimate
 
 Array = NDArray[np.float64]
 
@@ -32,16 +37,9 @@ _PREVALENCES = np.linspace(0.15, 0.99, 43)
 _NO_GAP = 0.5
 _TAILS, _Z90 = (0.05, 0.95), 1.6448536269514722
 _LISTED, _NEGLIGIBLE = 8, 0.005
-
-
-@dataclass(frozen=True)
-class Strength:
-    """How strong an effect is in one data set, with its 90 % interval."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
+#: Probability from which on a member's strength counts among the carriers', in rounds: sure ones first, so that weak
+#: ones cannot vouch for one another; the least spread between members, relative.
+_CARRY, _LEAST_SPREAD = (0.9, 0.5, 0.5), 0.3
 
 
 @dataclass(frozen=True)
@@ -52,14 +50,14 @@ class Member:
         label: its name.
         p_value: of no gap.
         evidence: log evidence by explanation, "a" or "a+b".
-        strengths: of single effects that were fitted.
+        strengths: of single effects.
         alike: cosines by pair of explanations.
     """
 
     label: str
     p_value: float
     evidence: Mapping[str, float]
-    strengths: Mapping[str, Strength]
+    strengths: Mapping[str, Estimate]
     alike: Mapping[frozenset[str], float]
 
     @classmethod
@@ -67,9 +65,7 @@ class Member:
         """A diagnosis as a member of a cohort."""
         evidence = {name: value for name, (_, value) in found.evidence.items()}
         evidence |= {cause.label: cause.log_evidence for cause in found.likely}
-        first = {c.label: c.estimates[0] for c in found.likely if len(c.effects) == 1 and c.estimates}
-        strengths = {name: Strength(e.value, e.low, e.high, e.unit) for name, e in first.items()}
-        return cls(label, found.p_value, evidence, strengths, found.alike)
+        return cls(label, found.p_value, evidence, found.strengths, found.alike)
 
     def holding(self, names: Sequence[str]) -> float:
         """Log evidence of all explanations that hold these effects, averaged over the pairs a second could make."""
@@ -174,41 +170,94 @@ def _judged(label: str, members: Sequence[Member], background: Array) -> SharedC
     """One cause with its evidence; its probability is not known yet."""
     names = tuple(label.split("+"))
     own = np.array([m.holding(names) for m in members])
+    plain = _mixture(own, background)
+    strengths = [m.strengths.get(label) for m in members]
+    informed = plain
+    for least in _CARRY:
+        carrying = [s if share > least else None for s, share in zip(strengths, informed.carriers)]
+        informed = _mixture(own + _at_their_strength(strengths, carrying), background)
+    known = [s for s, share in zip(strengths, informed.carriers) if s is not None and share > _CARRY[-1]]
+    pooled = _pooled(known)
+    return SharedCause(
+        names,
+        0.0,
+        plain.log_evidence,
+        informed.prevalence,
+        informed.carriers,
+        None if pooled is None else pooled.interval,
+        None if pooled is None else pooled.between,
+        known[0].unit if known else "",
+    )
+
+
+@dataclass(frozen=True)
+class _Mixture:
+    """Members that have a cause with some prevalence, or what any data set may have."""
+
+    log_evidence: float
+    prevalence: Interval
+    carriers: Array
+
+
+def _mixture(own: Array, background: Array) -> _Mixture:
     mixed = np.logaddexp(np.log1p(-_PREVALENCES[:, None]) + background, np.log(_PREVALENCES[:, None]) + own)
     by_prevalence = (mixed - background).sum(axis=1)
     total = float(np.logaddexp.reduce(by_prevalence))
     weight = np.exp(by_prevalence - total)
     low, high = np.interp(_TAILS, np.cumsum(weight), _PREVALENCES)
     carriers = weight @ np.exp(np.log(_PREVALENCES[:, None]) + own - mixed)
-    prevalence = Interval(float(weight @ _PREVALENCES), float(low), float(high))
-    carrying = [m.strengths.get(label) for m, share in zip(members, carriers) if share > 0.5]
-    strengths = [s for s in carrying if s is not None]
-    mean, between = _pooled(strengths)
-    return SharedCause(
-        names,
-        0.0,
-        total - np.log(_PREVALENCES.size),
-        prevalence,
+    return _Mixture(
+        total - float(np.log(_PREVALENCES.size)),
+        Interval(float(weight @ _PREVALENCES), float(low), float(high)),
         carriers,
-        mean,
-        between,
-        strengths[0].unit if strengths else "",
     )
 
 
-def _pooled(strengths: Sequence[Strength]) -> tuple[Interval | None, float | None]:
-    """Mean with its 90 % interval, and the spread between members beyond their own errors."""
+def _at_their_strength(strengths: Sequence[Estimate | None], carrying: Sequence[Estimate | None]) -> Array:
+    """What every member's evidence gains where a cause has the strength of the other carriers, not just any."""
+    gains = np.zeros(len(strengths))
+    for i, mine in enumerate(strengths):
+        others = _pooled([s for j, s in enumerate(carrying) if j != i and s is not None])
+        if mine is None or others is None:
+            continue
+        error = _error(mine)
+        between = max(others.between, _LEAST_SPREAD * abs(others.mean))
+        wide = between**2 + others.error**2 + error**2
+        there = -0.5 * ((mine.value - others.mean) ** 2 / wide + np.log(wide / error**2))
+        gains[i] = there + 0.5 * (mine.value / error) ** 2 - float(two_sided(np.asarray(mine.value / error)))
+    return gains
+
+
+@dataclass(frozen=True)
+class _Pooled:
+    """Strengths together: their mean with its error, and the spread between members beyond their own errors."""
+
+    mean: float
+    error: float
+    between: float
+
+    @property
+    def interval(self) -> Interval:
+        return Interval(self.mean, self.mean - _Z90 * self.error, self.mean + _Z90 * self.error)
+
+
+def _pooled(strengths: Sequence[Estimate]) -> _Pooled | None:
+    """None of fewer than two strengths, or of what has none."""
     if len(strengths) < 2 or strengths[0].unit == "flag":
-        return None, None
+        return None
     values = np.array([s.value for s in strengths])
-    variance = np.maximum(np.array([(s.high - s.low) / (2 * _Z90) for s in strengths]), 1e-12) ** 2
+    variance = np.array([_error(s) for s in strengths]) ** 2
     weight = 1.0 / variance
     fixed = (weight @ values) / weight.sum()
     excess = weight @ (values - fixed) ** 2 - (len(values) - 1)
     spread = max(excess / (weight.sum() - (weight**2).sum() / weight.sum()), 0.0)
     weight = 1.0 / (variance + spread)
     mean, error = float((weight @ values) / weight.sum()), float(weight.sum() ** -0.5)
-    return Interval(mean, mean - _Z90 * error, mean + _Z90 * error), float(np.sqrt(spread))
+    return _Pooled(mean, error, float(np.sqrt(spread)))
+
+
+def _error(strength: Estimate) -> float:
+    return max((strength.high - strength.low) / (2.0 * _Z90), 1e-6)
 
 
 def _together(p_values: Sequence[float]) -> float:

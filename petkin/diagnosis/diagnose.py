@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis.design import Visible, foresee
 from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
 from petkin.diagnosis.effect import Hypothesis, Simulator
-from petkin.diagnosis.estimates import estimates, regions, setting
+from petkin.diagnosis.estimates import estimates, regions, setting, strengths
 from petkin.diagnosis.how_far import closure
 from petkin.diagnosis.noise import Noise, lowered
 from petkin.diagnosis.nominal import base_fit, least_noise
@@ -188,6 +188,7 @@ def _verdict(
         onset=setting(leader, "onset") if present else None,
         frame=None if not present or (frame := setting(leader, "frame")) is None else int(frame),
         evidence={c.label: (stage[c.label], c.log_evidence) for c in ranked if len(c.names) == 1},
+        strengths=strengths(ranked, explained.scan, simulator, base),
         unknown_evidence=unnamed,
         visible=foresee(simulator, base, explained.scan.templates),
         alike=alike,

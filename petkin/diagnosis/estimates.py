@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
 from petkin.diagnosis.effect import Simulator, Term
 from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.scan import Scan, start
 from petkin.diagnosis.verdict import Estimate
 from petkin.diagnosis.where import Place, benjamini_hochberg
 from petkin.diagnosis.which import Candidate, columns_of
@@ -34,6 +37,23 @@ def estimates(candidate: Candidate, simulator: Simulator, base: Fit) -> tuple[Es
         if "frame" in term.setting:
             found.append(Estimate("frame", "1", *(3 * [float(term.setting["frame"])])))
     return tuple(found)
+
+
+def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator, base: Fit) -> dict[str, Estimate]:
+    """Amplitude of every single effect: after its refit, or the linear one of its template that the scan likes best."""
+    each = scan.each(base.residual)
+    return {
+        c.label: estimates(c, simulator, base)[0]
+        if c.fit is not None
+        else _from_scan(scan, base.residual, each, c.label)
+        for c in candidates
+        if len(c.names) == 1
+    }
+
+
+def _from_scan(scan: Scan, residual: Array, each: Array, name: str) -> Estimate:
+    errors = np.sqrt(np.diag(np.linalg.inv(scan.information(scan.best(each, name)))))
+    return _amplitude(start(scan, residual, each, name), errors)
 
 
 def _amplitude(term: Term, errors: Array) -> Estimate:

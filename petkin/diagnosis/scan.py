@@ -64,9 +64,17 @@ class Scan:
 
     def amplitude(self, index: int, residual: Array) -> Array:
         """Linear fit of a template's amplitude to a residual, one or one a channel."""
-        information, hypothesis = self._information[index], self.templates[index].hypothesis
-        ridged = information + np.eye(len(information)) * hypothesis.width**-2.0
-        return np.linalg.solve(ridged, residual @ self.projected[:, self._places[index]])
+        score = residual @ self.projected[:, self._places[index]]
+        return np.asarray(np.linalg.solve(self.information(index), score), np.float64)
+
+    def information(self, index: int) -> Array:
+        """What data and prior tell of a template's amplitude, one or one a channel."""
+        found = self._information[index]
+        return found + np.eye(len(found)) * self.templates[index].hypothesis.width ** -2.0
+
+    def best(self, each: Array, name: str) -> int:
+        """Place of the template of a hypothesis that the scan likes best."""
+        return max((i for i, t in enumerate(self.templates) if t.hypothesis.name == name), key=lambda i: each[i])
 
     def each(self, residuals: Array) -> Array:
         """log evidence of every template for residuals (..., n): (..., templates)."""
@@ -121,8 +129,7 @@ def start(scan: Scan, residual: Array, each: Array, name: str) -> Term:
         each: log evidence of every template.
         name: of the hypothesis.
     """
-    places = [i for i, t in enumerate(scan.templates) if t.hypothesis.name == name]
-    best = max(places, key=lambda i: each[i])
+    best = scan.best(each, name)
     return _start(scan.templates[best], scan.amplitude(best, residual))
 
 

@@ -68,6 +68,7 @@ class Diagnosis:
         onset: time of it, or None.
         frame: the one sample that the leader concerns, or None.
         evidence: stage and log evidence of every single effect.
+        strengths: amplitude of every single effect.
         unknown_evidence: of a gap of no name.
         visible: what this design could tell.
         alike: cosines by pair of causes.
@@ -89,6 +90,7 @@ class Diagnosis:
     onset: float | None
     frame: int | None
     evidence: dict[str, tuple[str, float]]
+    strengths: dict[str, Estimate]
     unknown_evidence: float
     visible: tuple[Visible, ...]
     alike: dict[frozenset[str], float]

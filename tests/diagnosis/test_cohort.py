@@ -47,14 +47,14 @@ def test_its_strength_is_that_of_the_members(weak: tuple[list[Member], Cohort]) 
     assert mean.high - mean.low < WEAK
 
 
-def test_who_carries_it() -> None:
+@pytest.mark.parametrize("seed", [2, 7, 13, 22])
+def test_who_carries_it(seed: int) -> None:
     strengths = [0.08, 0.0, 0.08, 0.0, 0.0, 0.08]
-    cohort = in_common(members(strengths, 2))
+    cohort = in_common(members(strengths, seed))
     carriers = cohort.causes[0].carriers
     assert cohort.causes[0].label == "ripple"
     assert (carriers[[0, 2, 5]] > 0.9).all()
-    assert carriers[[1, 3, 4]].mean() < 0.45
-    assert carriers[[1, 3, 4]].max() < 0.6
+    assert (carriers[[1, 3, 4]] < 0.5).all()
     assert cohort.causes[0].prevalence.low < 0.5 < cohort.causes[0].prevalence.high
 
 

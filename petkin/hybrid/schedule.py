@@ -30,6 +30,8 @@ class Settings:
         restarts: how often a dead run may begin again.
         check_every: steps between checks on validation dynamics; 0 for none.
         patience: checks without a better one at the end of the anneal after which a run ends; 0 for never.
+        axes: Adam works along the axes in which gradients vary (`TurnedAdam`), renewed after so many steps; 0 for those
+            of the weights.
     """
 
     steps: int
@@ -53,6 +55,7 @@ class Settings:
     episodes: int = 1
     check_every: int = 0
     patience: int = 0
+    axes: int = 0
 
 
 def learning_rate(step: int, settings: Settings) -> float:

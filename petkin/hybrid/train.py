@@ -26,6 +26,7 @@ from petkin.hybrid.checkpoint import (
 from petkin.hybrid.episodes import Dataset, episodes
 from petkin.hybrid.metrics import measure
 from petkin.hybrid.model import Encoded, Identifier
+from petkin.hybrid.optimiser import TurnedAdam
 from petkin.hybrid.parallel import average, place, wait
 from petkin.hybrid.penalty import penalty
 from petkin.hybrid.schedule import Settings, compared, frames_at, learning_rate
@@ -112,7 +113,7 @@ class _Files:
 
 def _attempt(make: Maker, data: Dataset, settings: Settings, validation: Dataset | None, files: _Files) -> Run:
     run, kept = Run(make(settings.seed)), Validation(settings.steps, settings.patience)
-    optimiser = torch.optim.Adam(run.model.parameters(), lr=settings.rate, betas=(0.9, 0.99))
+    optimiser = _optimiser(run.model, settings)
     generator = torch.Generator().manual_seed(settings.seed)
     if files.checkpoint is not None and files.checkpoint.is_file():
         _resume(files.checkpoint, run, kept, optimiser, generator, settings)
@@ -136,6 +137,12 @@ def _attempt(make: Maker, data: Dataset, settings: Settings, validation: Dataset
         run.model.load_state_dict(kept.best)
     run.model.eval()
     return run
+
+
+def _optimiser(model: Identifier, settings: Settings) -> torch.optim.Optimizer:
+    if settings.axes:
+        return TurnedAdam(model.parameters(), settings.rate, every=settings.axes)
+    return torch.optim.Adam(model.parameters(), lr=settings.rate, betas=(0.9, 0.99))
 
 
 def _settle(model: Identifier, data: Dataset, settings: Settings) -> None:

@@ -61,18 +61,21 @@ class Stack(nn.Module):
 
 
 class Moments(nn.Module):
-    """How bright every frame's channels are, where, how wide and how slanted; then convolutions over time.
+    """How bright every frame's channels are, where, how wide and how slanted: as they are, and convolved over time.
 
     A spot's mean place tells its position far below a pixel at the cost of one small matrix product, where convolutions
-    over pixels have to learn it.
+    over pixels have to learn it. Moments among the features leave to the convolutions what is no straight line of them.
 
     Args:
         frames, channels: of a series [*b, frames, channels, size, size] of any size.
         filters: of the convolutions over time.
-        features: numbers that come out.
+        hidden: numbers that come out of them.
+        straight: moments are features too.
     """
 
-    def __init__(self, frames: int, channels: int, *, filters: int = 64, features: int = 128) -> None:
+    def __init__(
+        self, frames: int, channels: int, *, filters: int = 64, hidden: int = 128, straight: bool = True
+    ) -> None:
         super().__init__()
         self.usual = nn.BatchNorm1d(channels * _MOMENTS, affine=False, eps=1e-3, momentum=None)
         widths = (channels * _MOMENTS, *[filters] * 4)
@@ -83,12 +86,15 @@ class Moments(nn.Module):
             for layer in (nn.Conv1d(a, b, 5, stride=stride, padding=2), nn.SiLU())
         ]
         self.layers = nn.Sequential(
-            *over_time, nn.Flatten(), nn.Linear(filters * _halved(frames, 3), features), nn.SiLU()
+            *over_time, nn.Flatten(), nn.Linear(filters * _halved(frames, 3), hidden), nn.SiLU()
         )
-        self.frames, self.features = frames, features
+        self.frames, self.straight = frames, straight
+        self.features = hidden + straight * widths[0] * frames
 
     def forward(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n f"]:
-        return self.layers(_GAIN * self._standard(self.describe(series)))
+        said = self._standard(self.describe(series))
+        convolved = self.layers(_GAIN * said)
+        return torch.cat([convolved, said.flatten(1)], dim=-1) if self.straight else convolved
 
     def describe(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n c T"]:
         """Brightness, place (u, v), widths and slant of every channel, in numbers of order one."""

@@ -35,6 +35,16 @@ def test_what_is_usual_is_told_once_and_kept():
     torch.testing.assert_close(encoder.usual.state_dict(), kept, rtol=0, atol=0)
 
 
+def test_a_straight_line_of_the_moments_is_among_the_features():
+    encoder = Moments(4, 1)
+    series = _spots(torch.rand(8, 4, 2, generator=torch.Generator().manual_seed(0)) - 0.3)
+    said = encoder._standard(encoder.describe(series)).flatten(1)
+    features = encoder(series)
+    assert features.shape == (8, encoder.features)
+    assert torch.equal(features[:, -said.shape[1] :], said)
+    assert Moments(4, 1, straight=False).features == encoder.features - said.shape[1]
+
+
 def test_a_dark_channel_gives_finite_features_and_gradients():
     series = torch.zeros(3, 4, 2, 16, 16, requires_grad=True)
     encoder = Moments(4, 2).eval()

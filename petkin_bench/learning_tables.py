@@ -60,6 +60,8 @@ def read_rows(results: Path) -> pd.DataFrame:
 def _names(row: Mapping[str, object]) -> tuple[str, str, str, str]:
     """Table, method, variant and split as the published tables name them."""
     table, split, decoder = (str(row[name]) for name in ("table", "split", "decoder"))
+    if row["test"] == "refined":
+        return table, str(row["dynamics"]), f"refined, {decoder}", split
     if table == "strategy":
         test = str(row["test"]) if split == "ID" else f"{row['test']} {split}"
         return table, _STRATEGIES[str(row["strategy"])], f"k{row['k_train']}", test

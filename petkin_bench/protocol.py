@@ -14,7 +14,7 @@ from petkin_bench.decoding import decoder_of
 from petkin_bench.systems import DYNAMICS, SYSTEMS, Physics, find_system
 
 #: Frames that tell the start of a series, and numbers in c_n.
-_FIRST, _CODE = 3, 8
+FIRST, _CODE = 3, 8
 _SPLITS = {"train": 1, "ID": 2, "OOD": 3}
 
 
@@ -27,10 +27,13 @@ class Preset:
         share: of the paper's dynamics and starts that are drawn for training.
         test: dynamics x starts of each test set.
         filters: of the convolutions.
-        encoder: of contexts: moments, stack (frames as channels) or spatio_temporal (the paper's).
+        encoder: of contexts: moments_straight, moments (without a straight path), stack (frames as channels) or
+            spatio_temporal (the paper's).
         compiled: compile the steps of the rollout.
         settings: of the training, system by system where they differ from "".
         decoder: widths of a learned decoder.
+        others: encoders of systems that have one of their own.
+        refined: systems that are also measured with c_p, c_n and starts refined at test time.
     """
 
     name: str
@@ -41,31 +44,46 @@ class Preset:
     compiled: bool
     settings: dict[str, Settings] = field(default_factory=dict)
     decoder: tuple[int, ...] = (32, 128)
+    others: dict[str, str] = field(default_factory=dict)
+    refined: tuple[str, ...] = ()
+
+    def reads(self, system: str) -> str:
+        """The encoder of a system."""
+        return self.others.get(system, self.encoder)
 
     def of(self, system: str) -> Settings:
         return self.settings.get(system, self.settings[""])
 
 
 _TINY = Settings(steps=60, dynamics=6, series=6)
-_CPU = Settings(steps=3300, horizon=6, curriculum=0.3)
+_CPU = Settings(steps=1500, horizon=6, curriculum=0.3, axes=10)
 PRESETS = (
     Preset(
-        "tiny", (0.2, 0.15), (6, 9), 4, "moments", False, {"": _TINY, "rigid_body": replace(_TINY, steps=6, series=3)}
+        "tiny",
+        (0.2, 0.15),
+        (6, 9),
+        4,
+        "moments_straight",
+        False,
+        {"": _TINY, "rigid_body": replace(_TINY, steps=6, series=3)},
+        refined=("pendulum",),
     ),
     Preset(
         "cpu",
         (1.0, 1.0),
         (24, 16),
         16,
-        "moments",
+        "moments_straight",
         True,
         {
             "": _CPU,
-            "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5),
+            "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5, axes=10),
             "double_pendulum": Settings(steps=5000, horizon=10, curriculum=0.3, norm=3e-5),
-            "bouncing_ball": Settings(steps=8000),
+            "bouncing_ball": Settings(steps=4000, axes=10),
             "rigid_body": Settings(steps=3000, glimpse=8, norm=3e-5),
         },
+        others={"rigid_body": "moments", "double_pendulum": "moments"},
+        refined=("pendulum", "mass_spring", "bouncing_ball"),
     ),
     Preset(
         "paper",
@@ -157,19 +175,19 @@ def build(physics: Physics, dynamics: str, preset: Preset, seed: int, decoder: s
     if preset.compiled and isinstance(task.flow, RungeKutta):
         task = replace(task, flow=replace(task.flow, compiled=True))
     coded = _CODE if dynamics in ("purely_neural", "meta_hylad") else 0
-    context = _encoder(task, preset, len(task.times))
-    first = _encoder(task, preset, _FIRST)
+    context = _encoder(task, preset, preset.reads(physics.name), len(task.times))
+    first = _encoder(task, preset, preset.reads(physics.name), FIRST)
     generator = torch.Generator().manual_seed(seed)
     seen = decoder_of(decoder, task, preset.decoder)
     return Identifier(task, context, first, code=coded, generator=generator, decoder=seen)
 
 
-def _encoder(task: Task, preset: Preset, frames: int) -> nn.Module:
+def _encoder(task: Task, preset: Preset, name: str, frames: int) -> nn.Module:
     """Of a whole series, or of its first frames."""
     channels, size = _look(task)
-    if preset.encoder == "moments":
-        return Moments(frames, channels)
-    if preset.encoder == "spatio_temporal" and frames > _FIRST:
+    if name.startswith("moments"):
+        return Moments(frames, channels, straight=name == "moments_straight")
+    if name == "spatio_temporal" and frames > FIRST:
         return SpatioTemporal(frames, channels, size, filters=preset.filters)
     return Stack(frames, channels, size, filters=preset.filters, pool=_pool(task))
 

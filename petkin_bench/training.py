@@ -9,9 +9,9 @@ from pathlib import Path
 
 import torch
 
-from petkin.hybrid import Identifier, find_strategy, measure, place, train
+from petkin.hybrid import Identifier, find_strategy, measure, measure_refined, place, train
 from petkin_bench.learning_tables import read_rows
-from petkin_bench.protocol import Job, Preset, build, checkpoint_of, counts, settings_of
+from petkin_bench.protocol import FIRST, Job, Preset, build, checkpoint_of, counts, settings_of
 from petkin_bench.provenance import RESULTS, append_rows
 from petkin_bench.systems import Physics, draw, find_system
 
@@ -60,14 +60,16 @@ def run_job(
     spent = time.process_time() - start
     rows = [row | {"cpu_s": spent} for row in _measured(job, preset, run.model, "; ".join(run.remarks))]
     append_rows(
-        "learning", [row | {"encoder": preset.encoder, "settings": str(asdict(settings))} for row in rows], results
+        "learning",
+        [row | {"encoder": preset.reads(job.system), "settings": str(asdict(settings))} for row in rows],
+        results,
     )
     return rows
 
 
 def _rough(model: Identifier, physics: Physics, preset: Preset) -> Identifier:
     """To be trained on cheaper pictures, where the encoder reads pictures of any size."""
-    if physics.rough is not None and preset.encoder == "moments" and model.decoder is None:
+    if physics.rough is not None and preset.reads(physics.name).startswith("moments") and model.decoder is None:
         model.task = replace(model.task, emission=physics.rough)
     return model
 
@@ -86,16 +88,20 @@ def key(job: Job, preset: Preset) -> tuple[str, ...]:
 
 
 def _measured(job: Job, preset: Preset, model, remarks: str) -> list[dict[str, object]]:
-    """A row a test set and way of testing: prediction from others and, for strategies, reconstruction of itself."""
+    """A row a test set and way of testing: prediction from others; for strategies reconstruction of itself; refined."""
     physics, rows = find_system(job.system), []
     symbols = model.task.parameters.symbols
     ways = [("prediction", "mixed" if job.strategy == "mixed" else "meta", job.k or preset.test[1] - 1)]
     ways += [("reconstruction", "reconstruct", 1)] if job.table == "strategy" else []
     for split, outside in (("ID", False), ("OOD", True)):
         data = draw(physics, *preset.test, seed=_SEED_TEST + int(outside), outside=outside)
+        head = {**dict(zip(_KEY, key(job, preset))), "split": split, "remarks": remarks}
+        meant = physics.places(symbols)
         for what, strategy, k in ways:
             k = min(k, 7)
-            found = measure(model, data, find_strategy(strategy), k, physics=physics.places(symbols))
-            head = dict(zip(_KEY, key(job, preset)))
-            rows.append({**head, "split": split, "test": what, "k_test": k, **found, "remarks": remarks})
+            found = measure(model, data, find_strategy(strategy), k, physics=meant)
+            rows.append({**head, "test": what, "k_test": k, **found})
+        if job.table == "hybrid" and job.system in preset.refined:
+            found = measure_refined(model, data, 7, FIRST, physics=meant)
+            rows.append({**head, "test": "refined", "k_test": 7, **found})
     return rows

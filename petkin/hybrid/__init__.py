@@ -7,7 +7,7 @@ from petkin.hybrid.encoders import Curve, Head, Moments, SpatioTemporal, Stack
 from petkin.hybrid.episodes import Dataset, episodes, of_others
 from petkin.hybrid.field import HybridField
 from petkin.hybrid.flow import Flow, RungeKutta
-from petkin.hybrid.metrics import measure, signal_to_noise, valid_share
+from petkin.hybrid.metrics import measure, measure_refined, signal_to_noise, valid_share
 from petkin.hybrid.model import Encoded, HyperNetwork, Identifier
 from petkin.hybrid.parallel import place, processes
 from petkin.hybrid.refine import Refined, refine
@@ -54,6 +54,7 @@ __all__ = [
     "load_tensors",
     "mean",
     "measure",
+    "measure_refined",
     "of_others",
     "place",
     "processes",

@@ -7,15 +7,20 @@ error is relative to their variance over the data, component by component.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from petkin.hybrid.episodes import Dataset
-from petkin.hybrid.model import Identifier
+from petkin.hybrid.model import Encoded, Identifier
+from petkin.hybrid.refine import refine
 from petkin.hybrid.strategies import Strategy
 
 VALID = 0.025
+#: Dynamics that are refined side by side.
+_TOGETHER = 8
 
 
 def valid_share(exceeded: Bool[Tensor, "*b T"]) -> Float[Tensor, "*b"]:
@@ -50,22 +55,58 @@ def measure(
         (f_NN against what is missing).
     """
     was, _ = model.training, model.eval()
-    rows = [_one(model, data, strategy, k, physics, m) for m in range(data.dynamics)]
+    rows = []
+    for part in _parts(data, 1):
+        found = strategy(model.encode(model.task.emission.observe(part.states)), k, model.aggregate)
+        rows.append(_score(model, found, part, data, physics))
     model.train(was)
+    return _means(rows)
+
+
+@torch.no_grad()
+def measure_refined(
+    model: Identifier, data: Dataset, k: int, first: int, *, physics: tuple[int, ...]
+) -> dict[str, float]:
+    """The same metrics where c_p and c_n are refined on the first k series of each dynamics, and used for its others.
+
+    Of a series that is predicted only z(0) is refined, on what is seen of its first frames.
+
+    Args:
+        model, data, physics: see `measure`.
+        k: context series.
+        first: frames of the others that are seen.
+    """
+    was, _ = model.training, model.eval()
+    rows = []
+    for part in _parts(data, _TOGETHER):
+        observed = model.task.emission.observe(part.states)
+        said = model.encode(observed)
+        context = Encoded(said.initial[:, :k], said.physics[:, :k], said.code[:, :k])
+        learned = refine(model, context, observed[:, :k]).found
+        count = data.series - k
+        physics_found, code = (x[:, :1].expand(-1, count, -1) for x in (learned.physics, learned.code))
+        others = Encoded(said.initial[:, k:], physics_found, code)
+        found = refine(model, others, observed[:, k:, :first], dynamics=False).found
+        rows += [_score(model, found, Dataset(part.states[:, k:], part.truth), data, physics)] * part.dynamics
+    model.train(was)
+    return _means(rows)
+
+
+def _parts(data: Dataset, size: int) -> Iterator[Dataset]:
+    """Some dynamics after others."""
+    for states, truth in zip(data.states.split(size), data.truth.split(size)):
+        yield Dataset(states, truth)
+
+
+def _means(rows: list[dict[str, float]]) -> dict[str, float]:
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
 
-def _one(
-    model: Identifier,
-    data: Dataset,
-    strategy: Strategy,
-    k: int,
-    physics: tuple[int, ...],
-    m: int,
+def _score(
+    model: Identifier, found: Encoded, part: Dataset, data: Dataset, physics: tuple[int, ...]
 ) -> dict[str, float]:
-    task, states, truth = model.task, data.states[m : m + 1], data.truth[m : m + 1]
-    observed = task.emission.observe(states)
-    found = strategy(model.encode(observed), k, model.aggregate)
+    """Metrics of what is predicted of a part of the data."""
+    task, states, truth = model.task, part.states, part.truth
     predicted = model.predict(found)
     error = model.squared_error(found, predicted, states)
     spread = data.states.flatten(0, 2).var(dim=0).clamp_min(1e-12)
@@ -73,7 +114,9 @@ def _one(
     row = {
         "mse_x": float(error.mean()),
         "mse_z": float(((predicted - states) ** 2).mean()),
-        "vpt_x": float(valid_share(error > VALID * observed.square().flatten(3).mean(dim=-1)).mean()),
+        "vpt_x": float(
+            valid_share(error > VALID * task.emission.observe(states).square().flatten(3).mean(dim=-1)).mean()
+        ),
         "vpt_z": float(valid_share(off > VALID).mean()),
     }
     if task.seen:

@@ -24,12 +24,13 @@ def test_a_table_is_run_once_and_compared(tmp_path):
     first = CliRunner().invoke(app, arguments)
     assert first.exit_code == 0, first.output
     rows = pd.read_csv(tmp_path / "learning.csv")
-    assert list(rows["split"]) == ["ID", "OOD"]
+    assert list(rows["split"]) == ["ID", "ID", "OOD", "OOD"]
+    assert list(rows["test"]) == ["prediction", "refined"] * 2
     assert {"mse_x", "mse_z", "vpt_x", "vpt_z", "mse_cp", "seed", "preset", "commit", "cpu"} <= set(rows)
     again = CliRunner().invoke(app, arguments)
     assert "1 runs, 1 of them done." in again.output
-    assert len(pd.read_csv(tmp_path / "learning.csv")) == 2
-    found = compare(tmp_path, "tiny").set_index(["split", "metric"])
+    assert len(pd.read_csv(tmp_path / "learning.csv")) == 4
+    found = compare(tmp_path, "tiny").query("variant == 'physics_decoder'").set_index(["split", "metric"])
     assert found.loc[("ID", "mse_z"), "published"] == pytest.approx(0.1309)
     assert found.loc[("ID", "mse_z"), "ratio"] == pytest.approx(rows["mse_z"][0] / 0.1309)
     printed = CliRunner().invoke(app, ["tables", "--preset", "tiny", "--results", str(tmp_path)])

@@ -56,7 +56,7 @@ class Preset:
 
 
 _TINY = Settings(steps=60, dynamics=6, series=6)
-_CPU = Settings(steps=1500, horizon=6, curriculum=0.3, axes=10)
+_CPU = Settings(steps=3300, horizon=6, curriculum=0.3)
 PRESETS = (
     Preset(
         "tiny",
@@ -73,7 +73,7 @@ PRESETS = (
         (1.0, 1.0),
         (24, 16),
         16,
-        "moments_straight",
+        "moments",
         True,
         {
             "": _CPU,
@@ -82,8 +82,8 @@ PRESETS = (
             "bouncing_ball": Settings(steps=4000, axes=10),
             "rigid_body": Settings(steps=3000, glimpse=8, norm=3e-5),
         },
-        others={"rigid_body": "moments", "double_pendulum": "moments"},
-        refined=("pendulum", "mass_spring", "bouncing_ball"),
+        others={"mass_spring": "moments_straight", "bouncing_ball": "moments_straight"},
+        refined=("mass_spring", "bouncing_ball"),
     ),
     Preset(
         "paper",

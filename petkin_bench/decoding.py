@@ -35,8 +35,10 @@ def decoder_of(name: str, task: Task, widths: tuple[int, ...]) -> Decoder | None
     middle, half = (0.5 * (high + low)).float(), (0.5 * (high - low)).float()
 
     def sees(state: Tensor, forcing: Tensor | None, p: Tensor) -> Tensor:
-        look = (state / scale)[..., chosen]
-        return (torch.cat([look, (p - middle) / half], dim=-1) if name == "adaptive" else look).movedim(-1, 0)
+        look = (state / scale.to(state))[..., chosen]
+        return (torch.cat([look, (p - middle.to(p)) / half.to(p)], dim=-1) if name == "adaptive" else look).movedim(
+            -1, 0
+        )
 
     inputs = len(chosen) + (len(task.parameters) if name == "adaptive" else 0)
     emission = task.emission

@@ -29,6 +29,7 @@ def run_job(
     results: Path = RESULTS,
     progress: Callable[[float], None] = lambda share: None,
     episodes: int = 1,
+    device: str = "cpu",
 ) -> list[dict[str, object]]:
     """Train one model, measure it on both test sets, append the rows.
 
@@ -39,6 +40,7 @@ def run_job(
         results: folder of the result files.
         progress: told the share that is done.
         episodes: of a step, shared by the processes that torchrun started; the first measures and keeps the rows.
+        device: where to train and to measure.
     """
     physics, settings = find_system(job.system), replace(settings_of(job, preset), episodes=episodes)
     data = draw(physics, *counts(physics, preset), seed=_SEED_TRAIN)
@@ -53,6 +55,7 @@ def run_job(
         progress=lambda step, loss: progress(step / settings.steps),
         validation=draw(physics, *_VALIDATION, seed=_SEED_VALIDATION) if settings.check_every else None,
         log=checkpoint.with_suffix(".csv"),
+        device=device,
     )
     if place()[0] > 0:
         return []
@@ -61,7 +64,10 @@ def run_job(
     rows = [row | {"cpu_s": spent} for row in _measured(job, preset, run.model, "; ".join(run.remarks))]
     append_rows(
         "learning",
-        [row | {"encoder": preset.reads(job.system), "settings": str(asdict(settings))} for row in rows],
+        [
+            row | {"encoder": preset.reads(job.system), "settings": str(asdict(settings)), "device": device}
+            for row in rows
+        ],
         results,
     )
     return rows

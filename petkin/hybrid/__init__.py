@@ -9,7 +9,7 @@ from petkin.hybrid.field import HybridField
 from petkin.hybrid.flow import Flow, RungeKutta
 from petkin.hybrid.metrics import measure, measure_refined, signal_to_noise, valid_share
 from petkin.hybrid.model import Encoded, HyperNetwork, Identifier
-from petkin.hybrid.parallel import place, processes
+from petkin.hybrid.parallel import device, place, processes
 from petkin.hybrid.refine import Refined, refine
 from petkin.hybrid.residual import Network, Residual, into_rows, run_layers
 from petkin.hybrid.schedule import Settings, learning_rate
@@ -45,6 +45,7 @@ __all__ = [
     "Stack",
     "Task",
     "context_features",
+    "device",
     "episodes",
     "errors_of",
     "find_strategy",

@@ -32,6 +32,10 @@ class Dataset:
                 "belong together; give (dynamics, series, times, states) and (dynamics, parameters)."
             )
 
+    def to(self, device: torch.device | str) -> Dataset:
+        """The same on another device."""
+        return Dataset(self.states.to(device), self.truth.to(device))
+
     @property
     def dynamics(self) -> int:
         return self.states.shape[0]

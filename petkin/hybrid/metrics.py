@@ -56,7 +56,7 @@ def measure(
     """
     was, _ = model.training, model.eval()
     rows = []
-    for part in _parts(data, 1):
+    for part in _parts(data, 1, model.device):
         found = strategy(model.encode(model.task.emission.observe(part.states)), k, model.aggregate)
         rows.append(_score(model, found, part, data, physics))
     model.train(was)
@@ -78,7 +78,7 @@ def measure_refined(
     """
     was, _ = model.training, model.eval()
     rows = []
-    for part in _parts(data, _TOGETHER):
+    for part in _parts(data, _TOGETHER, model.device):
         observed = model.task.emission.observe(part.states)
         said = model.encode(observed)
         context = Encoded(said.initial[:, :k], said.physics[:, :k], said.code[:, :k])
@@ -92,10 +92,10 @@ def measure_refined(
     return _means(rows)
 
 
-def _parts(data: Dataset, size: int) -> Iterator[Dataset]:
-    """Some dynamics after others."""
+def _parts(data: Dataset, size: int, device: torch.device) -> Iterator[Dataset]:
+    """Some dynamics after others, where the model is."""
     for states, truth in zip(data.states.split(size), data.truth.split(size)):
-        yield Dataset(states, truth)
+        yield Dataset(states, truth).to(device)
 
 
 def _means(rows: list[dict[str, float]]) -> dict[str, float]:
@@ -109,7 +109,7 @@ def _score(
     task, states, truth = model.task, part.states, part.truth
     predicted = model.predict(found)
     error = model.squared_error(found, predicted, states)
-    spread = data.states.flatten(0, 2).var(dim=0).clamp_min(1e-12)
+    spread = data.states.flatten(0, 2).var(dim=0).clamp_min(1e-12).to(states)
     off = ((predicted - states) ** 2 / spread).mean(dim=-1)
     row = {
         "mse_x": float(error.mean()),

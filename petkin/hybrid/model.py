@@ -100,6 +100,15 @@ class Identifier(nn.Module):
         self.span: Tensor
         self.register_buffer("span", torch.tensor(task.parameters.upper, dtype=torch.float32) - self.lower)
 
+    @property
+    def device(self) -> torch.device:
+        return self.lower.device
+
+    def place_on(self, device: torch.device | str) -> Identifier:
+        """Move weights and task to a device; the model itself is returned."""
+        self.task = self.task.to(device)
+        return self.to(device)
+
     def encode(self, series: Float[Tensor, "*b T ..."], *, batch: int = 2) -> Encoded:
         """What the encoders say of observed series; `batch` leading axes count them."""
         shape, flat = series.shape[:batch], series.flatten(0, batch - 1)

@@ -30,6 +30,11 @@ def processes() -> Iterator[int]:
         dist.destroy_process_group()
 
 
+def device() -> str:
+    """Where this process should train: its own GPU where there is one, else the processor."""
+    return f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
+
+
 def place() -> tuple[int, int]:
     """Which of how many processes this is."""
     return (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
@@ -46,7 +51,7 @@ def average(tensors: Iterable[Tensor]) -> None:
     parts = list(tensors)
     if not dist.is_initialized() or not parts:
         return
-    flat = torch.cat([part.reshape(-1) for part in parts])
+    flat = torch.cat([part.reshape(-1).cpu() for part in parts])
     dist.all_reduce(flat)
     flat /= dist.get_world_size()
     for part, mean in zip(parts, flat.split([part.numel() for part in parts])):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -64,6 +65,10 @@ class Task:
     missing: Callable[[Tensor, Tensor], Tensor] | None = None
     seen: tuple[int, ...] = ()
     meant: Callable[[Tensor], Tensor] | None = None
+
+    def to(self, device: torch.device | str) -> Task:
+        """The same with its tensors on another device."""
+        return replace(self, times=self.times.to(device), centre=self.centre.to(device), reach=self.reach.to(device))
 
     def __post_init__(self) -> None:
         if self.known is None and self.residual is None:

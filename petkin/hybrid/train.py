@@ -70,6 +70,7 @@ def train(
     progress: Callable[[int, float], None] | None = None,
     validation: Dataset | None = None,
     log: Path | None = None,
+    device: torch.device | str = "cpu",
 ) -> Run:
     """Train to the end of the steps, from the checkpoint where there is one.
 
@@ -81,16 +82,22 @@ def train(
         progress: told the step and its loss.
         validation: dynamics to check the run on (`check_every`): it ends with the best weights of its last part.
         log: CSV file of losses and checks, written with every checkpoint and at the end.
+        device: where to train; the model of the run stays there.
 
     Raises:
         InputError: a checkpoint of another run; episodes that the processes cannot share evenly.
         NumericalError: the run died more often than it may begin again.
     """
     remarks: list[str] = []
+    held = data.to(device)
+
+    def placed(seed: int) -> Identifier:
+        return make(seed).place_on(device)
+
     for attempt in range(settings.restarts + 1):
         trial = replace(settings, seed=settings.seed + 1000 * attempt)
         try:
-            run = _attempt(make, data, trial, validation, _Files(checkpoint, log, progress))
+            run = _attempt(placed, held, trial, validation, _Files(checkpoint, log, progress))
         except NumericalError as failure:
             remarks.append(f"Seed {trial.seed}: {failure} Begun again from other weights.")
             if checkpoint is not None and place()[0] == 0:

@@ -20,6 +20,7 @@ def run(
     episodes: Annotated[
         int, typer.Option(help="Episodes a step, shared by torchrun's processes; 0 for one a process.", min=0)
     ] = 0,
+    device: Annotated[str, typer.Option(help="cpu, cuda, cuda:1, ...; default: a GPU where there is one.")] = "",
     work: Annotated[Path, typer.Option(help="Folder of the checkpoints.")] = Path("bench-runs"),
     results: Annotated[Path | None, typer.Option(help="Folder of the result files; default: the package's.")] = None,
 ) -> None:
@@ -40,6 +41,7 @@ def run(
 
     from petkin.cli.progress import progress_bar
     from petkin.errors import NumericalError
+    from petkin.hybrid import device as own_device
     from petkin.hybrid import place, processes
     from petkin_bench.protocol import find_preset, jobs
     from petkin_bench.provenance import RESULTS
@@ -58,7 +60,15 @@ def run(
             with progress_bar() if first else nullcontext(lambda label, share: None) as step:
                 told, shared = partial(step, job.label), episodes or count
                 try:
-                    rows = run_job(job, chosen, work=work, results=folder, progress=told, episodes=shared)
+                    rows = run_job(
+                        job,
+                        chosen,
+                        work=work,
+                        results=folder,
+                        progress=told,
+                        episodes=shared,
+                        device=device or own_device(),
+                    )
                 except NumericalError as failure:
                     typer.echo(f"{job.label}: {failure}", err=True)
                     rows, died = [], [*died, job.label]

@@ -50,7 +50,7 @@ class Blobs:
 
     def _profiles(self, states: Tensor) -> tuple[Tensor, Tensor]:
         """Across and down, [*b, bodies, size]."""
-        middle = (torch.arange(self.size, dtype=states.dtype) + 0.5) * (2.0 / self.size) - 1.0
+        middle = (torch.arange(self.size, dtype=states.dtype, device=states.device) + 0.5) * (2.0 / self.size) - 1.0
         place = self.place(states)[..., None]
         profiles = torch.exp(-0.5 * ((middle - place) / self.sigma) ** 2)
         return profiles[..., 0, :], profiles[..., 1, :]

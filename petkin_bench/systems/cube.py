@@ -57,7 +57,7 @@ class Cube:
     def _pose(self, states: Tensor) -> tuple[Tensor, Tensor]:
         """Middle [*b, 3] and the body's axes [*b, axis, 3] as the camera sees them: right, up, toward it."""
         c, s = math.cos(self.elevation), math.sin(self.elevation)
-        camera = torch.tensor([[1.0, 0.0, 0.0], [0.0, s, c], [0.0, -c, s]], dtype=states.dtype)
+        camera = torch.tensor([[1.0, 0.0, 0.0], [0.0, s, c], [0.0, -c, s]], dtype=states.dtype, device=states.device)
         return states[..., :3] @ camera.T, rotation(states[..., 3:7]).mT @ camera.T
 
     def _face(self, centre: Tensor, edges: Tensor, facing: Tensor, axis: int, like: Tensor) -> Tensor:
@@ -67,11 +67,11 @@ class Cube:
         middle = centre + side[..., None] * edges[..., axis, :]
         area = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
         area = torch.where(area.abs() > 1e-3, area, 1e-3 * torch.where(area >= 0, 1.0, -1.0))
-        grid = (torch.arange(self.size, dtype=like.dtype) + 0.5) * (2.0 / self.size) - 1.0
+        grid = (torch.arange(self.size, dtype=like.dtype, device=like.device) + 0.5) * (2.0 / self.size) - 1.0
         across, down = grid - middle[..., :1], -grid - middle[..., 1:]
         a = self._inside(second[..., 1] / area, -second[..., 0] / area, across, down)
         b = self._inside(-first[..., 1] / area, first[..., 0] / area, across, down)
-        colours = torch.tensor(_COLOURS, dtype=like.dtype)
+        colours = torch.tensor(_COLOURS, dtype=like.dtype, device=like.device)
         colour = torch.where(side[..., None] > 0, colours[2 * axis], colours[2 * axis + 1])
         seen = torch.tanh(facing[..., axis].abs() / 0.15)  # a face seen edge on fades instead of jumping
         return (colour * seen[..., None])[..., None, None] * (a * b)[..., None, :, :]

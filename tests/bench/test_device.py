@@ -1,0 +1,45 @@
+"""Nothing of a training stays on the processor when the model is elsewhere: mixed devices are an error on any."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from petkin.hybrid import Dataset, Settings, device, train
+from petkin.hybrid.train import loss_of
+from petkin_bench.protocol import build, find_preset
+from petkin_bench.systems import SYSTEMS, draw, find_system
+
+
+@pytest.mark.parametrize("physics", SYSTEMS, ids=lambda physics: physics.name)
+@pytest.mark.parametrize("dynamics", ["full_physics", "purely_neural", "meta_hylad"])
+def test_a_step_of_every_system_runs_on_another_device(physics, dynamics):
+    model = build(physics, dynamics, find_preset("tiny"), 0).place_on("meta")
+    states = torch.zeros(2, 3, len(physics.times), len(physics.states))
+    batch = Dataset(states, torch.zeros(2, len(physics.ranges))).to("meta")
+    loss, _, _ = loss_of(model, batch, 2, Settings(steps=10, norm=1e-4, orthogonality=1e-4), 0)
+    loss.backward()
+    assert loss.device.type == model.device.type == "meta"
+    assert all(p.grad is None or p.grad.device.type == "meta" for p in model.parameters())
+
+
+@pytest.mark.parametrize("decoder", ["neural_prior", "neural", "adaptive"])
+def test_learned_decoders_go_with_the_model(decoder):
+    physics = find_system("pendulum")
+    model = build(physics, "meta_hylad", find_preset("tiny"), 0, decoder).place_on("meta")
+    batch = Dataset(torch.zeros(2, 3, 25, 2), torch.zeros(2, 2)).to("meta")
+    loss_of(model, batch, 2, Settings(steps=10), 0)[0].backward()
+
+
+def test_training_on_a_named_device_is_training():
+    physics, preset = find_system("pendulum"), find_preset("tiny")
+    data = draw(physics, 6, 6, seed=1)
+    settings = replace(preset.of("pendulum"), steps=3)
+    here, there = (
+        train(lambda seed: build(physics, "meta_hylad", preset, seed), data, settings, **where)
+        for where in ({}, {"device": "cpu"})
+    )
+    assert here.losses == there.losses
+    assert device() == "cpu" or torch.cuda.is_available()

@@ -44,6 +44,7 @@ LEARNED = (
     ("prior_1TCM", "purely_physics", ""),
     ("hybrid_C_T,C_P", "meta_hylad", "C_T,C_P"),
     ("hybrid_hidden", "meta_hylad", "hidden"),
+    ("hybrid_held", "meta_hylad", "held"),
     ("prior_2TCM", "full_physics", ""),
 )
 FITS = ("1TCM", "2TCM")

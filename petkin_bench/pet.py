@@ -39,6 +39,7 @@ MODELS = (
     ("global_hylad", "C_T", 0.0, 1000),
     ("meta_hylad", "C_T", 0.0, 6000),
     ("meta_hylad", "hidden", 0.0, 2000),
+    ("meta_hylad", "held", 0.0, 2000),
     ("meta_hylad", "C_T,C_P", NOISE, 1500),
     ("full_physics", "", NOISE, 2000),
     ("purely_physics", "", NOISE, 1000),

@@ -37,8 +37,8 @@ def train(
     ] = "400:1000",
     noise: Annotated[float, typer.Option(help="Counting noise, percent.", min=0.0, rich_help_panel=_SIMULATED)] = 5.0,
     residual: Annotated[
-        str, typer.Option(help="What f_NN sees: C_T; C_T,C_P; or hidden.", rich_help_panel=_HOW)
-    ] = "C_T,C_P",
+        str, typer.Option(help="What f_NN sees: held (bound tracer); C_T; C_T,C_P; or hidden.", rich_help_panel=_HOW)
+    ] = "held",
     steps: Annotated[int, typer.Option(help="Of the training.", min=1, rich_help_panel=_HOW)] = 1000,
     seed: Annotated[int, typer.Option(help="Of draws and first weights.", min=0, rich_help_panel=_HOW)] = 0,
 ) -> None:

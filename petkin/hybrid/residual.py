@@ -107,6 +107,7 @@ class Residual:
         acts: how they enter the derivative; see `into_rows`.
         bound: A, in the units of the derivative: a few times what is plausible.
         width, depth: of the hidden layers.
+        rests: whether f_NN is nought where all its inputs are, A tanh((N(s) - N(0)) / A): of nothing comes nothing.
     """
 
     sees: Sight
@@ -116,6 +117,7 @@ class Residual:
     bound: float
     width: int = 8
     depth: int = 4
+    rests: bool = False
 
     @property
     def network(self) -> Network:
@@ -125,7 +127,11 @@ class Residual:
         self, layers: tuple[tuple[Tensor, Tensor], ...], state: Tensor, forcing: Tensor | None, parameters: Tensor
     ) -> Float[Tensor, "r ..."]:
         """f_NN."""
-        return self.bound * torch.tanh(run_layers(layers, self.sees(state, forcing, parameters)) / self.bound)
+        seen = self.sees(state, forcing, parameters)
+        value = run_layers(layers, seen)
+        if self.rests:
+            value = value - run_layers(layers, seen.new_zeros(len(seen), *[1] * (seen.ndim - 1)))
+        return self.bound * torch.tanh(value / self.bound)
 
 
 def into_rows(*rows: int) -> Action:

@@ -13,6 +13,7 @@ from petkin.learning.tracer import (
     identify_scan,
     together,
     train_tracer,
+    try_out,
 )
 
 __all__ = [
@@ -41,4 +42,5 @@ __all__ = [
     "tissue_task",
     "together",
     "train_tracer",
+    "try_out",
 ]

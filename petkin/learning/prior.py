@@ -35,6 +35,8 @@ _WIDE, _LEAST = (2.0, 1.0), 0.02
 CODE, _START = 3, 0.3
 #: Rates of u and of the weights, in units of the setting.
 _SCALES = (3.0, 1.0)
+#: What a card says of how far from the truth it is; not a choice of the training.
+TRIAL = "trial"
 #: Pace below which a training that leaves the numbers is given up.
 _SLOWEST = 0.01
 
@@ -247,7 +249,7 @@ class Keep:
 
     def resume(self, prior: TissuePrior, descent: _Descent) -> None:
         tensors, card = load_tensors(self.path)
-        step = int(card.pop("step", -1))
+        step, _ = int(card.pop("step", -1)), card.pop(TRIAL, None)
         if card != json.loads(json.dumps(dict(self.card))):
             raise InputError(f"{self.path}: a checkpoint of another training; give another file or remove it.")
         prior.load_state_dict(dict(below("prior.", tensors)))

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from petkin.dynamics import Parameter, ParameterSet, VectorField
 from petkin.errors import InputError
 from petkin.hybrid import Curve, Identifier, Residual, Task, into_rows
+from petkin.hybrid.residual import Network
 from petkin.imaging import FrameObservation
 from petkin.kinetics import ONE_TISSUE, TWO_TISSUE, CompartmentModel
 from petkin.learning.flow import TissueFlow
@@ -56,11 +57,37 @@ def _tissue_and_hidden(state: Tensor, forcing: Tensor | None, parameters: Tensor
     return state.movedim(-1, 0) / SCALE
 
 
-#: Forms of f_NN: of the tissue, of tissue and plasma, and with a second compartment that is not seen.
+def _free_and_held(state: Tensor, forcing: Tensor | None, parameters: Tensor) -> Tensor:
+    return torch.stack([state[..., 0] - state[..., 1], state[..., 1]]) / SCALE
+
+
+@dataclass(frozen=True)
+class Held(Residual):
+    """Tracer that tissue holds back: dC_b/dt = f_NN(C_T - C_b, C_b), and only C_T - C_b washes out.
+
+    C_T' = K1 C_P - k2 (C_T - C_b): k2 C_b is added to the law of one tissue. Tracer is neither made nor lost, and f_NN
+    cannot take the place of K1 or k2. Two tissues are f_NN = k3 (C_T - C_b) - k4 C_b.
+    """
+
+    @property
+    def network(self) -> Network:
+        return Network(self.inputs, 1, self.width, self.depth)
+
+    def value(
+        self, layers: tuple[tuple[Tensor, Tensor], ...], state: Tensor, forcing: Tensor | None, parameters: Tensor
+    ) -> Float[Tensor, "r ..."]:
+        """(k2 C_b, f_NN)."""
+        held = super().value(layers, state, forcing, parameters)
+        return torch.cat([(parameters[..., 1] * state[..., 1]).expand_as(held[0])[None], held])
+
+
+#: Forms of f_NN, nought where there is no tracer: of the tissue, of tissue and plasma, with a compartment that holds
+#: tracer back, and with one of which nothing is known.
 RESIDUALS = {
-    "C_T": Residual(_tissue, 1, 1, into_rows(0), BOUND, depth=_DEPTH),
-    "C_T,C_P": Residual(_tissue_and_plasma, 2, 1, into_rows(0), BOUND, depth=_DEPTH),
-    "hidden": Residual(_tissue_and_hidden, 2, 2, into_rows(0, 1), BOUND, depth=_DEPTH),
+    "C_T": Residual(_tissue, 1, 1, into_rows(0), BOUND, depth=_DEPTH, rests=True),
+    "C_T,C_P": Residual(_tissue_and_plasma, 2, 1, into_rows(0), BOUND, depth=_DEPTH, rests=True),
+    "held": Held(_free_and_held, 2, 2, into_rows(0, 1), BOUND, depth=_DEPTH, rests=True),
+    "hidden": Residual(_tissue_and_hidden, 2, 2, into_rows(0, 1), BOUND, depth=_DEPTH, rests=True),
 }
 
 

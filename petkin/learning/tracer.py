@@ -16,11 +16,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from petkin.errors import InputError
-from petkin.hybrid import HybridField, Settings, load_tensors
+from petkin.hybrid import HybridField, Settings, load_tensors, save_tensors
 from petkin.hybrid.checkpoint import below
 from petkin.learning.flow import TissueFlow
 from petkin.learning.population import Population, draw
-from petkin.learning.prior import Curves, Keep, TissuePrior, identify, learn
+from petkin.learning.prior import TRIAL, Curves, Keep, TissuePrior, identify, learn
 from petkin.learning.responses import Known
 from petkin.learning.tissue import Conditions, tissue_task
 
@@ -34,6 +34,8 @@ KIND = "tissue of one compartment and what it lacks"
 _IDENTIFY = Settings(steps=300, rate=1e-2)
 #: Step in u of differences; hours of constant plasma and the step (min) that VT is told by.
 _STEP, _HOURS, _EULER = 1e-2, 10.0, 0.5
+#: What is reported; the share of errors that one standard error holds.
+_REPORTED, _TWO_THIRDS = ("K1", "k2", "vB", "VT"), 0.683
 #: Relative difference of half-lives, and of lengths and heights, that is let pass.
 _SAME, _BEYOND = 0.01, 0.1
 
@@ -171,15 +173,13 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
     tensors, card = load_tensors(path)
     _check(path, card, half_life)
     conditions = conditions_of([scan])
-    bounds = {symbol: (pair[0], pair[1]) for symbol, pair in card["bounds"].items()}
-    prior = TissuePrior(tissue_task("meta_hylad", conditions, bounds, residual=card["residual"]))
-    prior.load_state_dict(dict(below("prior.", tensors)))
-    curves = together([scan])
+    prior, curves = _restored(tensors, card, conditions), together([scan])
     u = identify(prior, curves, _IDENTIFY)
     with torch.no_grad():
         tissue, learned = _residual(prior, u, curves)
         predicted = prior.predict(u, curves.amounts)[..., 1]
         physics, errors = _quantities(prior, u, curves, _late_plasma(conditions, curves))
+        errors = torch.maximum(errors, _tried(card))
     back = 1.0 / scan.scale
     return Identified(
         physics,
@@ -189,8 +189,58 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
         back * tissue,
         back * learned,
         back**2 * prior.misfit(u, curves).detach() / curves.weights.count_nonzero(dim=1),
-        _beyond(card, scan, curves),
+        (*_beyond(card, scan, curves), _said_of_trial(card)),
     )
+
+
+def _restored(tensors: Mapping[str, Tensor], card: Mapping[str, Any], conditions: Conditions) -> TissuePrior:
+    bounds = {symbol: (pair[0], pair[1]) for symbol, pair in card["bounds"].items()}
+    prior = TissuePrior(tissue_task("meta_hylad", conditions, bounds, residual=card["residual"]))
+    prior.load_state_dict(dict(below("prior.", tensors)))
+    return prior
+
+
+def try_out(path: Path, population: Population, subjects: int) -> None:
+    """Write into a checkpoint how far it is from the truth of unseen tissue of the population that it was learned from.
+
+    For each of K1, k2 and VT the median error, and what two thirds of the errors stay below, percent. Where f_NN can
+    take the place of a rate constant no curvature shows it; the truth does.
+
+    Args:
+        path: checkpoint of a simulated population, trained to its end.
+        population: the same.
+        subjects: how many are drawn.
+    """
+    tensors, card = load_tensors(path)
+    conditions, curves = drawn_curves(population, subjects, card["seed"] + 1)
+    truth = draw(population, subjects, 1, card["seed"] + 1)[0].truth
+    prior = _restored(tensors, card, conditions)
+    u = identify(prior, curves, _IDENTIFY)
+    with torch.no_grad():
+        found, _ = _quantities(prior, u, curves, _late_plasma(conditions, curves))
+    true = {"K1": truth[:, 0], "k2": truth[:, 1], "VT": population.model.macro(truth)["VT"]}
+    trial = {}
+    for symbol, values in true.items():
+        off = 100.0 * (found[:, _REPORTED.index(symbol)] / values - 1.0)
+        off = off[torch.isfinite(off)]
+        if len(off):
+            trial[symbol] = [round(float(off.median()), 1), round(float(off.abs().quantile(_TWO_THIRDS)), 1)]
+    save_tensors(path, tensors, {**card, TRIAL: trial})
+
+
+def _tried(card: Mapping[str, Any]) -> Tensor:
+    """Smallest percent standard errors that the trial allows."""
+    trial = card.get(TRIAL, {})
+    return torch.tensor([trial[symbol][1] if symbol in trial else 0.0 for symbol in _REPORTED])
+
+
+def _said_of_trial(card: Mapping[str, Any]) -> str:
+    if TRIAL not in card:
+        return "What it was learned from has no known truth: standard errors take the learned correction as given."
+    parts = [
+        f"{symbol} {middle:+.3g} % (two thirds within {most:.3g} %)" for symbol, (middle, most) in card[TRIAL].items()
+    ]
+    return f"Median error on unseen tissue of its own population: {', '.join(parts)}; standard errors are no smaller."
 
 
 def _check(path: Path, card: Mapping[str, Any], half_life: float) -> None:

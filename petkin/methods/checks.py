@@ -38,6 +38,8 @@ def check_choices(methods: tuple[Method, ...], choices: Choices) -> None:
     learned = [method.label for method in methods if method.label == "hybrid"]
     if bool(learned) != (choices.checkpoint is not None):
         raise InputError("--model hybrid and --checkpoint FILE (made by petkin train) go together.")
+    if choices.checkpoint is not None and not choices.checkpoint.is_file():
+        raise InputError(f"{choices.checkpoint}: no such checkpoint; petkin train makes one.")
     slow, fast = choices.rate_bounds
     if not 0 <= slow < fast:
         raise InputError(f"Rates from {slow:g} to {fast:g} per min are no interval; give e.g. 0.001:5.")

@@ -85,10 +85,11 @@ HYBRID = Method(
     fit=_fit,
     symbols=(),
     outcome="VT",
-    equation="dC_T/dt = K1 C_P - k2 C_T + f_NN(C_T, C_P; c_n)",
+    equation="dC_T/dt = K1 C_P - k2 C_T + f_NN, f_NN of what the checkpoint says it sees, and of c_n",
     how=(
         "K1, k2, vB and c_n of every curve by gradient descent on the weighted misfit and how strange they are beside "
-        "the population of the checkpoint. Standard errors: Gauss-Newton curvature of both together."
+        "the population of the checkpoint. Standard errors: Gauss-Newton curvature of both together, "
+        "or what the checkpoint missed the truth of its own population by, where that is more."
     ),
     reference="Ye Y et al. arXiv:2403.08194; Sheiner LB, Beal SL. J Pharm Sci 1982;71:1344-1348",
     regions_only=True,

@@ -19,7 +19,6 @@ from petkin.io import (
     AtomicFolder,
     RegionalCurves,
     json_text,
-    read_regions,
     require_cover,
     write_bytes,
     write_map,
@@ -48,7 +47,7 @@ from petkin.study.fit_scan import Progress
 from petkin.study.outputs import require_own_folder, write_study_description
 from petkin.study.reading import read_sources
 from petkin.study.request import FitRequest
-from petkin.study.series import extract
+from petkin.study.series import regional_curves
 from petkin.study.sources import Source
 
 #: Effects whose weak template says little of what they do at full strength: these always get a refit.
@@ -219,7 +218,8 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
     Raises:
         InputError: no curves, no blood, too few frames, or values that are not finite.
     """
-    curves = _curves(source)
+    curves = regional_curves(source)
+    assert curves is not None
     if source.blood is None:
         raise InputError(f"{source.label}: there is no blood (_blood.tsv); the simulator needs an arterial input.")
     _check(curves, source.label)
@@ -231,16 +231,6 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
     return curves, RegionalSimulator(
         curves.names, request.compartments.label, read_at(arterial, nodes), clock, request.included, nodes
     )
-
-
-def _curves(source: Source) -> RegionalCurves:
-    if source.curves is not None:
-        return source.curves
-    assert source.image is not None
-    assert source.dseg is not None
-    curves = extract(source.image, source.frames, read_regions(source.dseg, source.image))
-    assert curves is not None
-    return curves
 
 
 def _check(curves: RegionalCurves, label: str) -> None:

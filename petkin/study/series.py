@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
-from petkin.io import RegionalCurves, Regions, Rows, Series, read_label_volume, require_same_grid
+from petkin.io import RegionalCurves, Regions, Rows, Series, read_label_volume, read_regions, require_same_grid
 from petkin.study.resources import Plan
+from petkin.study.sources import Source
 
 #: Without a mask, voxels whose mean activity exceeds this share of the 98th percentile are taken for the object.
 _OBJECT_SHARE = 0.15
@@ -120,6 +121,13 @@ def choose_mask(
     if not chosen.any():
         raise InputError(f"{mask.name if mask else series.path.name}: the mask is empty; there is no voxel to fit.")
     return chosen, how
+
+
+def regional_curves(source: Source) -> RegionalCurves | None:
+    """A scan's table of curves, or the means over its segmentation; None where it has neither."""
+    if source.curves is not None or source.image is None or source.dseg is None:
+        return source.curves
+    return extract(source.image, source.frames, read_regions(source.dseg, source.image))
 
 
 def extract(

@@ -16,6 +16,7 @@ from petkin.errors import InputError
 from petkin.fitting import Need
 from petkin.hybrid import Settings
 from petkin.imaging import FrameObservation
+from petkin.io import RegionalCurves
 from petkin.learning import (
     Conditions,
     Curves,
@@ -26,14 +27,18 @@ from petkin.learning import (
     drawn_curves,
     together,
     train_tracer,
+    try_out,
 )
 from petkin.study.arterial import arterial_input
 from petkin.study.reading import read_sources
 from petkin.study.request import FitRequest
+from petkin.study.series import regional_curves
 from petkin.study.sources import Source
 from petkin.study.whole_brain import frame_weights, shared_delay, whole_brain
 
 Progress = Callable[[str, float], None]
+#: Subjects that a simulated population is tried on.
+_TRIED = 20
 
 
 @dataclass(frozen=True)
@@ -83,6 +88,9 @@ def train_population(request: TrainRequest, progress: Progress) -> None:
         half_life=half_life,
         progress=told,
     )
+    if not request.studies:
+        progress("against the truth", 1.0)
+        try_out(request.out, request.population, _TRIED)
 
 
 def _simulated(request: TrainRequest) -> tuple[Conditions, Curves, float, dict[str, Any]]:
@@ -102,9 +110,11 @@ def _real(request: TrainRequest) -> tuple[Conditions, Curves, float, dict[str, A
     found: list[tuple[Source, Measured]] = []
     for folder in request.studies:
         fit = FitRequest(folder, level="region", seg=request.seg, models=("1TCM",))
-        found += [(source, _measured(source, fit)) for source in read_sources(fit)[2] if source.curves is not None]
+        read = [(source, regional_curves(source)) for source in read_sources(fit)[2]]
+        found += [(source, _measured(source, curves, fit)) for source, curves in read if curves is not None]
     if not found:
-        raise InputError(f"{', '.join(map(str, request.studies))}: no scan has regional curves to learn from.")
+        named = ", ".join(map(str, request.studies))
+        raise InputError(f"{named}: no scan has regional curves, or an image with regions, to learn from.")
     decays = sorted({source.decay for source, _ in found})
     if decays[-1] > 1.01 * decays[0]:
         raise InputError("The scans are of several radionuclides; learn each tracer for itself.")
@@ -113,16 +123,15 @@ def _real(request: TrainRequest) -> tuple[Conditions, Curves, float, dict[str, A
     return conditions_of(scans), together(scans), math.log(2.0) / decays[0], card
 
 
-def _measured(source: Source, request: FitRequest) -> Measured:
-    assert source.curves is not None
-    values = source.curves.values
+def _measured(source: Source, curves: RegionalCurves, request: FitRequest) -> Measured:
+    values = curves.values
     values = values[np.isfinite(values).all(axis=1) & (values.sum(axis=1) > 0)]
-    observation = FrameObservation(source.curves.frames, source.decay)
-    whole = whole_brain(None, source.curves)
+    observation = FrameObservation(curves.frames, source.decay)
+    whole = whole_brain(None, curves)
     weights, _ = frame_weights(whole, source, request)
     arterial = arterial_input(source, request) if request.needs(Need.INPUT) else None
     assert arterial is not None
-    _, (delay, _), _ = shared_delay(whole, arterial, observation, weights, request, source.curves)
+    _, (delay, _), _ = shared_delay(whole, arterial, observation, weights, request, curves)
     arrived = arterial.delayed(delay)
     known = Known(arrived.plasma, arrived.whole_blood, observation)
     return Measured(torch.tensor(values), torch.tensor(weights), known)

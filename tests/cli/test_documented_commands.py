@@ -3,19 +3,26 @@ that the text gives."""
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+
+from petkin.hybrid import Settings
+from petkin.imaging import FrameObservation, FrameSchedule
+from petkin.learning import PAPER, drawn_curves, train_tracer
 
 from .conftest import Ran
 from .tiny_study import BLOOD, DURATIONS, IMAGE, STARTS, dump, labels, save
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("README.md", "docs/fitting.md", "docs/simulating.md")
+PAGES = ("README.md", *(f"docs/{page}.md" for page in ("diagnosing", "fitting", "learning", "scale", "simulating")))
 _FENCED, _INLINE = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL), re.compile(r"`(petkin [a-z]+ [^`]+)`")
 _PATTERN = re.compile(r"\b(BIDS_DIR|COMMAND|DIR|FILE|FWHM|MM|N|NAME|PERCENT|SYMBOL|VALUE)\b|tcp://")
 
@@ -29,6 +36,17 @@ def documented() -> list[str]:
         found += [line.strip() for line in blocks.splitlines() if line.strip().startswith("petkin ")]
         found += [command for command in _INLINE.findall(_FENCED.sub("", text)) if len(shlex.split(command)) > 3]
     return list(dict.fromkeys(command for command in found if not _PATTERN.search(command)))
+
+
+@pytest.fixture(scope="module")
+def tracer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint as the text's `petkin train` leaves it, trained for a few steps."""
+    path = tmp_path_factory.mktemp("tracer") / "tracer.safetensors"
+    settings = Settings(steps=5, rate=1e-2, seed=0, save_every=5)
+    population = replace(PAPER, observation=FrameObservation(FrameSchedule.uniform(10, 6.0), math.log(2.0) / 20.36))
+    conditions, curves = drawn_curves(population, 2, 0)
+    train_tracer(conditions, curves, path, settings, {}, residual="held", half_life=20.36, progress=lambda *_: None)
+    return path
 
 
 @pytest.fixture
@@ -46,8 +64,12 @@ def beside(study: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("command", documented())
-def test_it_runs(command: str, beside: Path, petkin_command: Callable[..., Ran]) -> None:
+def test_it_runs(command: str, beside: Path, tracer: Path, petkin_command: Callable[..., Ran]) -> None:
     words = shlex.split(command)[1:]
+    if "cuda" in words and not torch.cuda.is_available():
+        pytest.skip("torch sees no CUDA device here")
+    if "--checkpoint" in words:
+        (beside / "tracer.safetensors").write_bytes(tracer.read_bytes())
     if words[0] == "simulate" and "study" in words:
         (beside / "study").rename(beside / "before")
     ran = petkin_command(*words)

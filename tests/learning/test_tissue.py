@@ -17,6 +17,7 @@ from petkin.inputs import InputFunction, paper_plasma
 from petkin.kinetics import ONE_TISSUE, TWO_TISSUE
 from petkin.learning import PAPER, RESIDUALS, Conditions, Known, draw, tissue_model, tissue_task
 from petkin.learning.grid import Grid
+from petkin.learning.tissue import SCALE
 
 #: A short scan: tables and solvers take less, nothing else differs.
 SHORT = replace(PAPER, observation=FrameObservation(FrameSchedule.uniform(12, 1.0), 1.0 / 110.0, corrected=False))
@@ -31,9 +32,9 @@ def started(amounts: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.pad(amounts, (2, 0))
 
 
-def weights_of(name: str, seed: int = 0, count: int = 3) -> torch.Tensor:
+def weights_of(name: str, seed: int = 0, count: int = 3, last: float = 2.0) -> torch.Tensor:
     generator = torch.Generator().manual_seed(seed)
-    return torch.stack([RESIDUALS[name].network.draw(generator, last=2.0) for _ in range(count)], dim=-1)
+    return torch.stack([RESIDUALS[name].network.draw(generator, last=last) for _ in range(count)], dim=-1)
 
 
 def test_a_residual_of_zero_is_one_tissue_in_closed_form():
@@ -52,11 +53,13 @@ def test_a_residual_of_zero_is_one_tissue_in_closed_form():
         torch.testing.assert_close(states[i, :, 1].double(), frames, rtol=2e-6, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", RESIDUALS)
-def test_the_flow_is_what_a_general_solver_finds(name):
+@pytest.mark.parametrize(
+    ("name", "seed", "last"), [("C_T", 1, 4.0), ("C_T,C_P", 6, 4.0), ("held", 11, 8.0), ("hidden", 1, 4.0)]
+)
+def test_the_flow_is_what_a_general_solver_finds(name, seed, last):
     task = tissue_task("meta_hylad", CONDITIONS, BOUNDS, residual=name)
     assert task.residual is not None
-    weights = weights_of(name)
+    weights = weights_of(name, seed, last=last)
     states = task.flow(HybridField(task.known, task.residual, weights), started(AMOUNTS), RATES, task.times)
     count = task.residual.outputs
     field = HybridField(task.known, task.residual, weights.double())
@@ -69,6 +72,22 @@ def test_the_flow_is_what_a_general_solver_finds(name):
     change, off = (exact - plain).abs().amax(dim=1), (states[..., 0] - exact).abs().amax(dim=1)
     assert float(change.min()) > 0.3, "the residual must matter"
     assert bool((off < 0.01 * change).all()), (off, change)
+
+
+@pytest.mark.parametrize("name", RESIDUALS)
+def test_of_no_tracer_comes_nothing(name):
+    residual, task = RESIDUALS[name], tissue_task("meta_hylad", CONDITIONS, BOUNDS, residual=name)
+    field = HybridField(task.known, residual, weights_of(name))
+    nothing = torch.zeros(3, residual.outputs)
+    assert not field(torch.zeros(()), nothing, torch.zeros(3), RATES).any()
+
+
+def test_two_tissues_are_what_holds_tracer_back_in_proportion():
+    rates, k3, k4 = torch.tensor([[0.2, 0.15]]), 0.05, 0.02
+    residual, state = RESIDUALS["held"], torch.tensor([[9.0, 4.0]])
+    value = residual.value(((torch.tensor([[[k3 * SCALE], [-k4 * SCALE]]]), torch.zeros(1, 1)),), state, None, rates)
+    flow = k3 * 5.0 - k4 * 4.0
+    np.testing.assert_allclose(value[:, 0], [0.15 * 4.0, flow], rtol=1e-3)
 
 
 def test_frames_are_those_of_quadrature():

@@ -12,7 +12,7 @@ from petkin.errors import InputError
 from petkin.hybrid import Settings, load_tensors, save_tensors
 from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import paper_plasma
-from petkin.learning import PAPER, Known, Measured, draw, drawn_curves, identify_scan, train_tracer
+from petkin.learning import PAPER, Known, Measured, draw, drawn_curves, identify_scan, train_tracer, try_out
 
 _HALF_LIFE = 110.0
 _SEEN = FrameObservation(FrameSchedule.uniform(15, 2.0), 0.0063)
@@ -76,7 +76,8 @@ def test_curves_are_explained_and_errors_are_told(checkpoint):
     found = identify_scan(checkpoint, given, half_life=_HALF_LIFE)
     off = (found.predicted - given.values).square().mean(dim=1).sqrt() / given.values.mean(dim=1)
     assert float(off.max()) < 0.1
-    assert not found.remarks
+    assert len(found.remarks) == 1
+    assert "no known truth" in found.remarks[0]
     assert found.physics.shape == (5, 4)
     assert bool((found.percent_se[:, :3] > 0).all())
     told = torch.isfinite(found.physics[:, 3])
@@ -84,6 +85,29 @@ def test_curves_are_explained_and_errors_are_told(checkpoint):
     assert bool(torch.isfinite(found.learned).all())
     twice = identify_scan(checkpoint, replace(given, values=2.0 * given.values), half_life=_HALF_LIFE)
     torch.testing.assert_close(twice.physics[:, 1], found.physics[:, 1], rtol=0.5, atol=0.05)
+
+
+def test_errors_are_no_smaller_than_those_on_unseen_tissue(checkpoint, tmp_path):
+    path = tmp_path / "tried.safetensors"
+    path.write_bytes(checkpoint.read_bytes())
+    try_out(path, _POPULATION, 3)
+    trial, seed = load_tensors(path)[1]["trial"], _SETTINGS.seed + 1
+    clean, measured = draw(_POPULATION, 3, 1, seed)
+    before, after = [], []
+    weights = drawn_curves(_POPULATION, 3, seed)[1].weights
+    for i in range(3):
+        own = slice(5 * i, 5 * i + 5)
+        plasma = paper_plasma(100.0 * measured.states[5 * i, 0, 0, 3].double())
+        given = Measured(measured.states[own, 0, :, 1].double(), weights[own].double(), Known(plasma, plasma, _SEEN))
+        before.append(identify_scan(checkpoint, given, half_life=_HALF_LIFE))
+        after.append(identify_scan(path, given, half_life=_HALF_LIFE))
+    off = 100.0 * (torch.cat([found.physics[:, 0] for found in before]) / clean.truth[:, 0] - 1.0)
+    assert trial["K1"] == pytest.approx([float(off.median()), float(off.abs().quantile(0.683))], rel=0.1, abs=1.0)
+    for plain, tried in zip(before, after):
+        torch.testing.assert_close(
+            tried.percent_se[:, :2], plain.percent_se[:, :2].clamp_min(torch.tensor([trial["K1"][1], trial["k2"][1]]))
+        )
+        assert f"K1 {trial['K1'][0]:+.3g} %" in tried.remarks[-1]
 
 
 def test_what_is_unlike_the_card_is_refused_or_said(checkpoint, tmp_path):

@@ -266,11 +266,18 @@ def _columns(scene: _Scene, made: _Made, *, finely: bool = False) -> list[tuple[
     for cause in KNOWN:
         for drawn in _shapes(scene, made, cause, finely):
             size = 1.0 if cause.flag else 0.1 * cause.most
-            change = noise.whiten(observe(subject, (cause.build(size, drawn),)) - here) / size
+            change = noise.whiten(_changed(subject, here, cause.build(size, drawn)) - here) / size
             left = made.seen.project(change[:, None])[:, 0]
             if np.linalg.norm(left) > 1e-4 * np.linalg.norm(change):
                 found.append((cause.name, left))
     return found
+
+
+def _changed(subject: Subject, here: Array, change: Change) -> Array:
+    """Values with a change, which starts from those without one where it is the scanner's alone."""
+    if change.scanner is not None and replace(change, scanner=None) == Change():
+        return change.scanner(here, subject.frames)
+    return observe(subject, (change,))
 
 
 def _shapes(scene: _Scene, made: _Made, cause: Cause, finely: bool) -> list[Draw]:

@@ -123,10 +123,16 @@ def _curves(grid: Grid, subject: Subject, changes: tuple[Change, ...]) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def _slope(a, b, u, rates, k5, fill, hyperbolic):
+    K1, k2, k3, k4 = rates
     taken = fill * b
     free = 1.0 / (1.0 + taken) if hyperbolic else max(1.0 - taken, 0.0)
-    bound = rates[2] * free * a
-    return rates[0] * u - rates[1] * a - bound + rates[3] * b, bound - (rates[3] + k5) * b
+    bound = k3 * free * a
+    return K1 * u - k2 * a - bound + k4 * b, bound - (k4 + k5) * b
+
+
+@njit(cache=True, error_model="numpy")
+def _rates(rates, course, i):
+    return rates[0] * course[0, i], rates[1] * course[1, i], rates[2] * course[2, i], rates[3] * course[3, i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -136,12 +142,11 @@ def tissue(t, u, rates, course, fill, hyperbolic, k5):
     still = course.shape[2] == 1
     for r in range(rates.shape[0]):
         a = b = c = 0.0
+        p = q = s = _rates(rates[r], course[r], 0)
         for i in range(t.size - 1):
             h = t[i + 1] - t[i]
-            x, y, z = (0, 0, 0) if still else (2 * i, 2 * i + 1, 2 * i + 2)
-            p = rates[r] * course[r, :, x]
-            q = rates[r] * course[r, :, y]
-            s = rates[r] * course[r, :, z]
+            if not still:
+                p, q, s = s, _rates(rates[r], course[r], 2 * i + 1), _rates(rates[r], course[r], 2 * i + 2)
             a1, b1 = _slope(a, b, u[2 * i], p, k5, fill[r], hyperbolic)
             a2, b2 = _slope(a + 0.5 * h * a1, b + 0.5 * h * b1, u[2 * i + 1], q, k5, fill[r], hyperbolic)
             a3, b3 = _slope(a + 0.5 * h * a2, b + 0.5 * h * b2, u[2 * i + 1], q, k5, fill[r], hyperbolic)

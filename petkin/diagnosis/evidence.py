@@ -10,9 +10,10 @@ One amplitude a channel: normal about zero with a width that is log-uniform too,
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 Array = NDArray[np.float64]
 
@@ -36,30 +37,43 @@ def two_sided(t: Array) -> Array:
     return np.logaddexp(one_sided(t), one_sided(-np.asarray(t))) - np.log(2.0)
 
 
-def by_channel(score: Array, information: Array) -> Array:
-    """log B of amplitudes that differ between channels.
+def mean(logs: Array, axis: int = -1) -> Array:
+    """ln of the mean of e^x along an axis."""
+    top = logs.max(axis=axis, keepdims=True)
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.log(np.exp(logs - top).mean(axis=axis)) + np.squeeze(top, axis)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Many amplitudes, normal about zero with one width, of one effect or of several.
 
     Args:
-        score: G'Pr (..., C).
-        information: G'PG (C, C).
+        size, axes: eigenvalues (..., n) and vectors (..., n, n) of G'PG.
+        diagonal: of G'PG (..., n).
     """
-    together = spread(score, information)
-    alone = two_sided(score / np.sqrt(np.maximum(np.diag(information), 1e-300)))
-    lone = logsumexp(alone, axis=-1) - np.log(score.shape[-1])
-    return np.logaddexp(together, lone) - np.log(2.0)
 
+    size: Array
+    axes: Array
+    diagonal: Array
 
-def spread(score: Array, information: Array) -> Array:
-    """log B of many amplitudes, normal about zero with one width.
+    @classmethod
+    def of(cls, information: Array) -> Spread:
+        """From G'PG (..., n, n)."""
+        size, axes = np.linalg.eigh(information)
+        size = np.maximum(size, 1e-12 * np.maximum(size.max(axis=-1, keepdims=True), 1e-300))
+        return cls(size, axes, np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
 
-    Args:
-        score: G'Pr (..., n).
-        information: G'PG (n, n).
-    """
-    size, axes = np.linalg.eigh(information)
-    size = np.maximum(size, 1e-12 * max(float(size.max()), 1e-300))
-    turned = score @ axes
-    variance = (_WIDTHS**2 / size.mean())[:, None]
-    grown = 1.0 + variance * size
-    parts = 0.5 * (turned[..., None, :] ** 2 * variance / grown - np.log(grown)).sum(axis=-1)
-    return logsumexp(parts, axis=-1) - np.log(len(_WIDTHS))
+    def together(self, score: Array) -> Array:
+        """log B for G'Pr: (*batch, ..., n) to (*batch, ...)."""
+        turned = np.einsum("...i,...ij->...j", score, self.axes) ** 2
+        variance = (_WIDTHS**2 / self.size.mean(axis=-1)[..., None])[..., None]
+        grown = 1.0 + variance * self.size[..., None, :]
+        parts = np.einsum("...j,...wj->...w", turned, variance / grown) - np.log(grown).sum(axis=-1)
+        return mean(0.5 * parts)
+
+    def by_channel(self, score: Array) -> Array:
+        """The same of amplitudes that differ between channels: all of them, or one alone."""
+        lone = mean(two_sided(score / np.sqrt(self.diagonal)))
+        return np.logaddexp(self.together(score), lone) - np.log(2.0)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
+from petkin.diagnosis import evidence
 from petkin.diagnosis.effect import Hypothesis, Simulator, Term
 from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.noise import Noise
@@ -122,7 +122,7 @@ def _jointly(scan: Scan, residual: Array) -> dict[tuple[str, ...], _Wanted]:
             top = float(block.max())
             if top < 0:
                 continue
-            mean = float(logsumexp(block) - np.log(block.size))
+            mean = float(evidence.mean(block.ravel()))
             i, j = np.unravel_index(int(block.argmax()), block.shape)
             both = places[first][i], places[second][j]
             terms = tuple(_term(columns, k, float(amplitudes[k, m])) for k, m in (both, both[::-1]))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.effect import Hypothesis, Simulator, Term
@@ -80,9 +80,24 @@ class Scan:
         """log evidence of every template for residuals (..., n): (..., templates)."""
         scores = residuals @ self.projected
         found = np.empty((*residuals.shape[:-1], len(self.templates)))
+        if self._by_channel:
+            mine = np.stack([scores[..., self._places[i]] for i in self._by_channel], axis=-2)
+            found[..., self._by_channel] = self._spread.by_channel(mine)
         for i, (template, place) in enumerate(zip(self.templates, self._places)):
-            found[..., i] = _evidence(template.hypothesis, scores[..., place], self._information[i])
+            if not template.hypothesis.by_channel:
+                found[..., i] = _evidence(template.hypothesis, scores[..., place], self._information[i])
         return found
+
+    @cached_property
+    def _by_channel(self) -> list[int]:
+        """Places of templates that have an amplitude a channel."""
+        return [i for i, template in enumerate(self.templates) if template.hypothesis.by_channel]
+
+    @cached_property
+    def _spread(self) -> evidence.Spread:
+        widths = np.array([self.templates[i].hypothesis.width for i in self._by_channel])
+        ridge = widths[:, None, None] ** -2.0 * np.eye(len(self._information[self._by_channel[0]]))
+        return evidence.Spread.of(np.stack([self._information[i] for i in self._by_channel]) + ridge)
 
     def unknown(self, residuals: Array) -> Array:
         """log evidence of a smooth discrepancy (...)."""
@@ -93,30 +108,27 @@ class Scan:
     def excess(self, each: Array, name: str) -> float:
         """What choosing the best setting of a hypothesis gains over an average one."""
         values = np.array([e for t, e in zip(self.templates, each) if t.hypothesis.name == name])
-        return float(values.max() - (logsumexp(values) - np.log(len(values))))
+        return float(values.max() - (float(evidence.mean(values))))
 
     def by_hypothesis(self, each: Array) -> dict[str, Array]:
         """Evidence averaged over the settings of every hypothesis."""
         found, place = {}, 0
         for name, group in groupby(self.templates, key=lambda t: t.hypothesis.name):
             count = len(list(group))
-            found[name] = logsumexp(each[..., place : place + count], axis=-1) - np.log(count)
+            found[name] = evidence.mean(each[..., place : place + count])
             place += count
         return found
 
     def statistic(self, residuals: Array) -> Array:
         """One number that grows with any gap: evidence averaged over hypotheses, a smooth discrepancy among them."""
         found = [*self.by_hypothesis(self.each(residuals)).values(), self.unknown(residuals)]
-        return logsumexp(np.stack(found), axis=0) - np.log(len(found))
+        return evidence.mean(np.stack(found), 0)
 
 
 def _evidence(hypothesis: Hypothesis, score: Array, information: Array) -> Array:
     if hypothesis.flag:
         return score[..., 0] - 0.5 * information[0, 0]
-    ridged = information + np.eye(len(information)) * hypothesis.width**-2.0
-    if hypothesis.by_channel:
-        return evidence.by_channel(score, ridged)
-    t = score[..., 0] / np.sqrt(ridged[0, 0])
+    t = score[..., 0] / np.sqrt(information[0, 0] + hypothesis.width**-2.0)
     return evidence.two_sided(t) if hypothesis.signed else evidence.one_sided(t)
 
 

@@ -17,7 +17,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.noise import Noise
@@ -44,9 +43,9 @@ class Explanation(Protocol):
 
 @dataclass(frozen=True)
 class Smooth:
-    """The discrepancy around a fit, whitened and projected: columns (n, m) and G'PG of each of its three kinds."""
+    """The discrepancy around a fit, whitened and projected: columns (n, m) of each of its three kinds."""
 
-    kinds: tuple[tuple[Array, Array], ...]
+    kinds: tuple[tuple[Array, evidence.Spread], ...]
 
     @classmethod
     def around(cls, values: Array, times: Array, noise: Noise, projection: Projection) -> Smooth:
@@ -56,12 +55,11 @@ class Smooth:
         projected = columns - axes @ (axes.T @ columns)
         information = columns.T @ projected
         parts = (slice(0, _COUNT), slice(_COUNT, None), slice(0, None)) if len(values) > 1 else (slice(0, _COUNT),)
-        return cls(tuple((projected[:, p], information[p, p]) for p in parts))
+        return cls(tuple((projected[:, p], evidence.Spread.of(information[p, p])) for p in parts))
 
     def evidence(self, residuals: Array) -> Array:
         """log evidence of a discrepancy for whitened residuals (..., n)."""
-        found = [evidence.spread(residuals @ columns, information) for columns, information in self.kinds]
-        return logsumexp(np.stack(found), axis=0) - np.log(len(found))
+        return evidence.mean(np.stack([spread.together(residuals @ columns) for columns, spread in self.kinds]), 0)
 
 
 def discrepancies(values: Array, times: Array) -> Array:

@@ -167,7 +167,7 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
     information = nuisance.inner(columns, columns) + np.diag(fit.penalty[place])
     amplitude = np.asarray(term.amplitude, np.float64)
     linear = float(amplitude @ information @ amplitude)
-    return float(evidence.by_channel(information @ amplitude, information)) + 0.5 * (gain - linear)
+    return float(evidence.Spread.of(information).by_channel(information @ amplitude)) + 0.5 * (gain - linear)
 
 
 def _log_volume(jacobian: Array, penalty: Array) -> float:

@@ -92,7 +92,7 @@ def test_evidence_of_many_amplitudes_is_a_ratio_of_normals() -> None:
         covariance = np.eye(12) + width**2 / size * G @ G.T
         ratios.append(multivariate_normal(cov=covariance).logpdf(y) - multivariate_normal(cov=np.eye(12)).logpdf(y))
     expected = np.logaddexp.reduce(ratios) - np.log(len(ratios))
-    assert float(evidence.spread(G.T @ y, information)) == pytest.approx(float(expected), rel=1e-9)
+    assert float(evidence.Spread.of(information).together(G.T @ y)) == pytest.approx(float(expected), rel=1e-9)
 
 
 def test_draws_have_the_size_and_share_that_were_asked_for() -> None:

@@ -6,6 +6,7 @@ cov(r_ck, r_dk) = s_c s_d v_ck v_dk ((1 - rho) [c = d] + rho)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ class Noise:
     size: Array
     share: float
 
-    @property
+    @cached_property
     def mixing(self) -> Array:
         """R^{-1/2} of R = (1 - rho) I + rho 11' (C, C)."""
         return inverse_root(len(self.size), np.array(self.share))
@@ -98,13 +99,18 @@ def common_share(residuals: Array) -> Array:
 def outlying(residuals: Array) -> Array:
     """Factor >= 1 on the spread of values that lie far from their own sample in other channels (..., C, K).
 
-    A single wild value is heavy-tailed noise: no effect changes one channel in one sample alone.
+    A single wild value is heavy-tailed noise: no effect changes one channel in one sample alone. One that a neighbour
+    in time shares is not wild.
     """
     if residuals.shape[-2] < _FEW:
         return np.ones_like(residuals)
-    apart = np.abs(residuals - np.median(residuals, axis=-2, keepdims=True))
+    beyond = residuals - np.median(residuals, axis=-2, keepdims=True)
+    apart = np.abs(beyond)
     usual = np.median(apart, axis=-1, keepdims=True) / 0.6745
-    return np.maximum(apart / (_WILD * np.maximum(usual, 1e-300)), 1.0)
+    jumps = np.abs(np.diff(beyond, axis=-1))
+    ends = np.full((*jumps.shape[:-1], 1), np.inf)
+    alone = np.minimum(np.concatenate([ends, jumps], axis=-1), np.concatenate([jumps, ends], axis=-1))
+    return np.maximum(np.minimum(apart, alone) / (_WILD * np.maximum(usual, 1e-300)), 1.0)
 
 
 def pooled(sizes: Array, freedom: Array) -> Array:

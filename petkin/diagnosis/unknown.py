@@ -1,9 +1,9 @@
 """A gap of no name: a smooth discrepancy in every channel, orthogonal to what a refit can do.
 
-    delta_c(t) = f_c(t) sum_j w_j phi_j(x) (a_j + b_cj),   x = log(t + 1) rescaled to 0..1,  phi_j = cos(pi j x)
+    delta_c(t) = f_c(t) sum_j w_j phi_j(x) (a_j + b_cj),   x = log(t + 1) or t, rescaled to 0..1,  phi_j = cos(pi j x)
 
-a Gaussian process with a cosine basis, common to all channels, in each for itself, or both; only what the projection
-leaves of it counts, so that it can never take what the simulator's own parameters, or a named effect's, explain.
+a Gaussian process with a cosine basis, common to all channels, in each for itself, both, or in one of them; only what
+the projection leaves of it counts, so that it can never take what the simulator's own parameters, or a named effect's, explain.
 
 Reference: Plumlee M. Bayesian calibration of inexact computer models. J Am Stat Assoc 2017;112:1274-1285.
 doi:10.1080/01621459.2016.1211016
@@ -26,7 +26,7 @@ from petkin.diagnosis.refit import Fit
 Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
-_COUNT, _FADING = 10, 1.0
+_COUNT, _FADING = 12, 0.5
 #: Explanations beside which it is looked for.
 _BESIDE = 16
 
@@ -43,34 +43,54 @@ class Explanation(Protocol):
 
 @dataclass(frozen=True)
 class Smooth:
-    """The discrepancy around a fit, whitened and projected: columns (n, m) of each of its three kinds."""
+    """The discrepancy around a fit, whitened and projected.
 
-    kinds: tuple[tuple[Array, evidence.Spread], ...]
+    Args:
+        columns: P G of every time scale (n, m).
+        kinds: by time scale: which columns may be there at once (g, k), and their spread; any of the g is as likely.
+    """
+
+    columns: tuple[Array, ...]
+    kinds: tuple[tuple[tuple[NDArray[np.intp], evidence.Spread], ...], ...]
 
     @classmethod
     def around(cls, values: Array, times: Array, noise: Noise, projection: Projection) -> Smooth:
         """Around predicted values (C, K)."""
-        columns = noise.whiten(discrepancies(values, times)).T
         axes = projection.axes[: projection.rows]
-        projected = columns - axes @ (axes.T @ columns)
-        information = columns.T @ projected
-        parts = (slice(0, _COUNT), slice(_COUNT, None), slice(0, None)) if len(values) > 1 else (slice(0, _COUNT),)
-        return cls(tuple((projected[:, p], evidence.Spread.of(information[p, p])) for p in parts))
+        found, kinds = [], []
+        for scale in (np.log(times + 1.0), times):
+            columns = noise.whiten(discrepancies(values, scale)).T
+            projected = columns - axes @ (axes.T @ columns)
+            information = columns.T @ projected
+            spreads = (evidence.Spread.of(information[g[:, :, None], g[:, None, :]]) for g in _groups(len(values)))
+            found.append(projected)
+            kinds.append(tuple(zip(_groups(len(values)), spreads)))
+        return cls(tuple(found), tuple(kinds))
 
     def evidence(self, residuals: Array) -> Array:
         """log evidence of a discrepancy for whitened residuals (..., n)."""
-        return evidence.mean(np.stack([spread.together(residuals @ columns) for columns, spread in self.kinds]), 0)
+        found = []
+        for columns, kinds in zip(self.columns, self.kinds):
+            scores = residuals @ columns
+            found += [evidence.mean(spread.together(scores[..., group])) for group, spread in kinds]
+        return evidence.mean(np.stack(found), 0)
 
 
-def discrepancies(values: Array, times: Array) -> Array:
+def _groups(channels: int) -> list[NDArray[np.intp]]:
+    """Columns of a discrepancy common to all channels, in each for itself, both, and in one channel alone."""
+    every = np.arange(_COUNT * (1 + channels))
+    common, alone = every[None, :_COUNT], every[None, _COUNT:]
+    return [common] if channels == 1 else [common, alone, every[None], alone.reshape(_COUNT, channels).T]
+
+
+def discrepancies(values: Array, scale: Array) -> Array:
     """Columns (n, C, K) of the discrepancy: one block common to all channels, then one a channel.
 
     Args:
         values: predicted (C, K).
-        times: of the samples (K,).
+        scale: x of the samples, in any unit (K,).
     """
-    x = np.log(times + 1.0)
-    x = (x - x[0]) / (x[-1] - x[0])
+    x = (scale - scale[0]) / (scale[-1] - scale[0])
     j = np.arange(_COUNT)
     cosines = np.cos(np.pi * j[:, None] * x) * (1.0 + j[:, None]) ** -_FADING
     level = values.mean(axis=1, keepdims=True)

@@ -66,7 +66,8 @@ class Answer:
         classes: of every name, itself and what looks the same after the refit.
         stages: of every name.
         detectability: d' of all together.
-        perpendicular: of what neither one nor two catalogued effects explain; of a pair, the lesser beside the other.
+        perpendicular: of what neither one nor two catalogued effects outside its classes explain; of a pair, the lesser
+            beside the other.
         ceiling: probability that a matched filter names the class.
         frame: of the onset, or the one that is concerned; -1 for none.
         region: the one in which it acts; -1 for all.
@@ -148,9 +149,10 @@ def _answer(scene: _Scene, kind: str, split: str, noise: str) -> tuple[Subject, 
     scene = replace(scene, subject=made.subject, simulator=made.simulator, percent=made.percent)
     cause = made.cause
     columns = _columns(scene, made, finely=kind == "unknown")
-    beyond = perpendicular(made.seen.left, [c for _, c in columns])
     names = (cause.name,) if cause.name else ()
-    same = _class(cause.name, made.seen.left, columns)
+    same = _class(cause.name, made.seen.left, columns) if names else ()
+    finely = _columns(scene, made, finely=True) if names else columns
+    beyond = perpendicular(made.seen.left, [c for name, c in finely if name not in same])
     ceiling = _ceiling(made, columns, same, scene.rng) if names else 0.0
     frame = made.drawn.frame if cause.framed else _frame_of(made) if cause.onset else -1
     region = made.drawn.region if cause.local else -1

@@ -19,7 +19,7 @@ from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, refit
 from petkin.diagnosis.scan import Scan, start, templates
-from petkin.diagnosis.sets import confusability, probabilities, smallest_set
+from petkin.diagnosis.sets import LAPSE, confusability, probabilities, smallest_set
 from petkin.diagnosis.unknown import Smooth, beside
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import over
@@ -88,7 +88,7 @@ def diagnose(
     progress("refitting the likely ones", 0.4)
     explained = _explained(simulator, data, _Explained(noise, base, scan, []), hypotheses, always)
     progress("weighing", 0.8)
-    return _verdict(simulator, data, explained, hypotheses, p, drawn, rng)
+    return _verdict(simulator, data, explained, hypotheses, p, drawn)
 
 
 def foresee_design(simulator: Simulator, data: Array, hypotheses: Sequence[Hypothesis]) -> tuple[Visible, ...]:
@@ -138,17 +138,17 @@ def _verdict(
     hypotheses: Sequence[Hypothesis],
     p: float,
     drawn: Array,
-    rng: np.random.Generator,
 ) -> Diagnosis:
     shape = (data.shape[0], data.shape[1])
     noise, base, ranked, projection = explained.noise, explained.base, explained.ranked, explained.projection
     unnamed, named = float(explained.scan.unknown(base.residual)), beside(simulator.times, noise, ranked)
-    probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed)
+    probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=LAPSE)
     present = p <= CLAIM
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
     listed = [c if c.fit is not None else _with_fit(simulator, data, explained, c) for c in listed]
     gaps = {c.label: noise.whiten(c.fit.values - base.values) for c in listed if c.fit is not None}
     alike = _alike(gaps, projection)
+    beyond = {a: [(probability[b], gap - own) for b, gap in gaps.items()] for a, own in gaps.items()}
     chosen: tuple[str, ...] = ()
     if present and unknown < 0.5:
         chosen = smallest_set({c.label: probability[c.label] for c in listed}, alike)
@@ -161,7 +161,7 @@ def _verdict(
             probability[c.label],
             c.log_evidence,
             estimates(c, simulator, base),
-            closure(base, c.fit, shape, rng) if c.fit is not None else None,
+            closure(base, c.fit, shape, beyond[c.label]) if c.fit is not None else None,
             c.fit,
         )
         for c in listed

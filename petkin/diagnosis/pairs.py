@@ -27,8 +27,8 @@ from petkin.diagnosis.which import Candidate, after_refit, refitted
 Array = NDArray[np.float64]
 
 #: Leaders within this of the best are given a second effect, no more than so many; pairs refitted of those found beside
-#: them and jointly.
-_WITHIN, _LEADERS, _BESIDE, _JOINTLY = 7.0, 4, 5, 5
+#: them, jointly, and of those that share a name with the best of them where it beats every single one.
+_WITHIN, _LEADERS, _BESIDE, _JOINTLY, _AKIN = 7.0, 4, 5, 5, 4
 #: Pairs are refitted where the scan puts them within this of the best single cause.
 _CLOSE = 4.0
 #: Columns of a hypothesis that take part in the joint look, what an amplitude costs there, and cosines beyond which two
@@ -51,12 +51,17 @@ def pairs(
 ) -> list[Candidate]:
     """Likely pairs, fully refitted; best first."""
     best = leaders[0].log_evidence
-    beside = _likeliest(_beside(scan, leaders), best, _BESIDE)
-    jointly = _likeliest(_jointly(scan, base.residual), best, _JOINTLY)
+    beside, jointly = _beside(scan, leaders), _jointly(scan, base.residual)
     found: dict[tuple[str, ...], Candidate] = {}
-    for wanted in (*beside, *jointly):
+    for wanted in (*_likeliest(beside, best, _BESIDE), *_likeliest(jointly, best, _JOINTLY)):
         pair = _refitted(simulator, data, noise, base, wanted)
         if pair.names not in found or pair.log_evidence > found[pair.names].log_evidence:
+            found[pair.names] = pair
+    first = max(found.values(), key=lambda c: c.log_evidence, default=None)
+    if first is not None and first.log_evidence > best:
+        akin = {key: w for key, w in (jointly | beside).items() if key not in found and set(key) & set(first.names)}
+        for wanted in _likeliest(akin, best, _AKIN):
+            pair = _refitted(simulator, data, noise, base, wanted)
             found[pair.names] = pair
     return sorted(found.values(), key=lambda c: -c.log_evidence)
 

@@ -14,21 +14,26 @@ Array = NDArray[np.float64]
 #: Mass that a set must hold, and the cosine above which two explanations are one.
 _MASS, ALIKE = 0.9, 0.95
 #: Evidence of names is divided by this: refits agree less well between programs than within one.
-_TEMPERATURE = 1.3
-#: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds.
-_STEEPNESS, _EVEN = 1.5, 0.4
+_TEMPERATURE = 2.0
+#: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
+#: often no explanation that was looked at is right, however likely it seems. Set by their log score on training scans.
+_STEEPNESS, _EVEN = 0.5, -1.2
+LAPSE = 0.05
 
 
-def probabilities(evidence: Mapping[str, float], unknown: float) -> tuple[dict[str, float], float]:
+def probabilities(
+    evidence: Mapping[str, float], unknown: float, *, lapse: float = 0.0
+) -> tuple[dict[str, float], float]:
     """Probabilities of named explanations and of none of them, which sum to 1.
 
     Args:
         evidence: log evidence by name.
         unknown: log evidence of a gap of no name.
+        lapse: probability that none of them is right beyond what their evidence says.
     """
     values = np.array([*evidence.values()])
     odds = _STEEPNESS * (unknown - np.logaddexp.reduce(values) - _EVEN)
-    none = float(0.5 * (1.0 + np.tanh(0.5 * odds)))
+    none = lapse + (1.0 - lapse) * float(0.5 * (1.0 + np.tanh(0.5 * odds)))
     share = np.exp((values - np.logaddexp.reduce(values / _TEMPERATURE) * _TEMPERATURE) / _TEMPERATURE)
     return {name: float(p) for name, p in zip(evidence, (1.0 - none) * share)}, none
 

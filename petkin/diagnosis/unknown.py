@@ -3,7 +3,8 @@
     delta_c(t) = f_c(t) sum_j w_j phi_j(x) (a_j + b_cj),   x = log(t + 1) or t, rescaled to 0..1,  phi_j = cos(pi j x)
 
 a Gaussian process with a cosine basis, common to all channels, in each for itself, both, or in one of them; only what
-the projection leaves of it counts, so that it can never take what the simulator's own parameters, or a named effect's, explain.
+the projection leaves of it counts, so that it can never take what the simulator's own parameters, or a named effect's,
+explain.
 
 Reference: Plumlee M. Bayesian calibration of inexact computer models. J Am Stat Assoc 2017;112:1274-1285.
 doi:10.1080/01621459.2016.1211016
@@ -27,8 +28,8 @@ Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 12, 0.5
-#: Explanations beside which it is looked for.
-_BESIDE = 16
+#: What it costs in log evidence beside a name, and beside how many explanations it is looked for.
+_STRANGER, _BESIDE = 4.0, 6
 
 
 class Explanation(Protocol):
@@ -116,7 +117,7 @@ def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[fl
         fit, value = candidate.fit, candidate.log_evidence
         if fit is not None and looked < _BESIDE:
             smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
-            value = float(np.logaddexp(value, value + float(smooth.evidence(fit.residual)) - evidence.SECOND))
+            value = float(np.logaddexp(value, value + float(smooth.evidence(fit.residual)) - _STRANGER))
             looked += 1
         found.append(value)
     return found

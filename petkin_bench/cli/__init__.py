@@ -20,6 +20,7 @@ speed = typer.Typer(help="How fast, against what, and how good.", no_args_is_hel
 app.add_typer(speed, name="speed")
 speed.command("fit")(fitting.speed_fit)
 speed.command("train")(learning.speed_train)
+speed.command("diagnose")(gaps.speed_diagnose)
 for command in (fitting.accuracy, learning.run, learning.tables, learning.forecast):
     app.command()(command)
 for command in (gaps.diagnose, gaps.real_scans, gaps.withheld):

@@ -67,6 +67,9 @@ def withheld(
     split: Annotated[str, typer.Option(help="scored, or training for calibration.")] = "scored",
     regions: Annotated[int, typer.Option(help="A scan.", min=2)] = 5,
     draws: Annotated[int, typer.Option(help="Noise draws of each diagnosis.", min=20)] = 400,
+    without: Annotated[
+        str, typer.Option(help="Take a part out: projection, priors, common_noise or pairs; it must score worse.")
+    ] = "",
     workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
     work: Annotated[Path, typer.Option(help="Folder of verdicts and answers.")] = Path("bench-withheld"),
     results: Annotated[
@@ -82,10 +85,33 @@ def withheld(
     from petkin_bench.withheld.run import Plan, run
     from petkin_bench.withheld.score import joined, metrics, text_of
 
-    plan = Plan(split, seed, cases, regions, draws)
+    plan = Plan(split, seed, cases, regions, draws, without)
     found = metrics(joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True))))
     typer.echo(text_of(found))
     if results is not None:
-        settings = {"split": split, "seed": seed, "scans": cases, "regions": regions, "draws": draws}
+        settings = {
+            "split": split,
+            "seed": seed,
+            "scans": cases,
+            "regions": regions,
+            "draws": draws,
+            "without": without,
+        }
         rows = [settings | {"metric": m.name, "value": m.value, "cases": m.cases, "bar": m.bar} for m in found]
         typer.echo(f"Appended to {append_rows('withheld', rows, results)}")
+
+
+def speed_diagnose(
+    keep: Annotated[bool, typer.Option(help="Append the rows to petkin_bench/results/speed_diagnose.csv.")] = True,
+) -> None:
+    """Processor time of a diagnosis over regions and frames, with more draws of noise, and of a cohort."""
+    from petkin_bench.provenance import append_rows
+    from petkin_bench.speed_diagnose import measure_cohort, measure_sizes, text_of
+
+    def told(what: str) -> None:
+        typer.echo(what, err=True)
+
+    rows = [*measure_sizes(told), measure_cohort(told)]
+    typer.echo(text_of(rows))
+    if keep:
+        typer.echo(f"Appended to {append_rows('speed_diagnose', rows)}")

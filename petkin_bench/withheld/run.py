@@ -11,26 +11,31 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from petkin.errors import InputError
+from petkin_bench.withheld.ablations import PARTS, without
 from petkin_bench.withheld.cases import SPLITS, Answer, case
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Which cases, and what the product is asked."""
+    """Which cases, what the product is asked, and which part of it is taken out."""
 
     split: str
     seed: int
     cases: int
     regions: int
     draws: int
+    without: str = ""
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
             raise InputError(f"--split {self.split!r}: give {' or '.join(SPLITS)}.")
+        if self.without and self.without not in PARTS:
+            raise InputError(f"--without {self.without!r}: give one of {', '.join(PARTS)}.")
 
     @property
     def stem(self) -> str:
-        return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}"
+        lacking = f"_without_{self.without}" if self.without else ""
+        return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}{lacking}"
 
 
 def run(
@@ -66,7 +71,8 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
     scan, truth = case(plan.split, plan.seed, index, plan.regions)
     answer = {"index": index} | row_of(truth)
     digest = hashlib.sha256(json.dumps(answer, sort_keys=True).encode()).hexdigest()
-    found = verdict(scan, truth.clean, seed=index, draws=plan.draws)
+    with without(plan.without):
+        found = verdict(scan, truth.clean, seed=index, draws=plan.draws)
     return answer, {"index": index, "answer_sha256": digest} | found
 
 

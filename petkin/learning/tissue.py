@@ -7,7 +7,7 @@ All regions share one encoder and one hypernetwork, and every region has an f_NN
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -242,13 +242,21 @@ def tissue_task(
         times=torch.tensor(conditions.observation.frames.end, dtype=torch.float32),
         parameters=ParameterSet(tuple(_parameter(symbol, *bounds[symbol]) for symbol in names)),
         known=None if model is None else _known(model),
-        residual=find_residual(residual) if dynamics in _HYBRID else None,
+        residual=_residual_of(residual, alone=model is None) if dynamics in _HYBRID else None,
         emission=Frames(),
         centre=torch.zeros(count),
         reach=torch.zeros(count),
         flow=TissueFlow(model, conditions.responses, conditions.grid, blood),
         start=_at_rest,
     )
+
+
+def _residual_of(name: str, *, alone: bool) -> Residual:
+    """Where f_NN is all there is, tracer comes from nothing else, and there is no k2."""
+    residual = find_residual(name)
+    if alone and isinstance(residual, Held):
+        raise InputError(f"A residual of {name!r} washes out with k2, which a purely neural tissue has not.")
+    return replace(residual, rests=False) if alone else residual
 
 
 def _parameter(symbol: str, low: float, high: float) -> Parameter:

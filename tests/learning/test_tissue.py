@@ -82,6 +82,15 @@ def test_of_no_tracer_comes_nothing(name):
     assert not field(torch.zeros(()), nothing, torch.zeros(3), RATES).any()
 
 
+def test_where_nothing_is_known_tracer_may_come_from_the_network():
+    task = tissue_task("purely_neural", CONDITIONS, BOUNDS, residual="C_T")
+    assert task.residual is not None
+    field = HybridField(task.known, task.residual, weights_of("C_T"))
+    assert bool(field(torch.zeros(()), torch.zeros(3, 1), torch.zeros(3), torch.zeros(3, 0)).all())
+    with pytest.raises(InputError, match="washes out with k2"):
+        tissue_task("purely_neural", CONDITIONS, BOUNDS, residual="held")
+
+
 def test_two_tissues_are_what_holds_tracer_back_in_proportion():
     rates, k3, k4 = torch.tensor([[0.2, 0.15]]), 0.05, 0.02
     residual, state = RESIDUALS["held"], torch.tensor([[9.0, 4.0]])

@@ -6,12 +6,13 @@ d'(e) = |a P g_e|,   c(e, e') = |g_e' P g_e'| / (|P g_e| |P g_e'|),   P the proj
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis.effect import Hypothesis, Simulator
+from petkin.diagnosis.effect import Hypothesis, Simulator, Term
+from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.scan import Template
@@ -20,6 +21,10 @@ Array = NDArray[np.float64]
 
 #: An effect below this d' at the end of its range cannot be seen; two above this cosine cannot be told apart.
 INVISIBLE, SAME = 1.5, 0.97
+#: Derivatives by a signed amplitude are taken over this share of its range, to both sides.
+_STEP = 0.02
+#: An effect of which the refit leaves less than this looks like nothing else.
+_ABSORBED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -47,16 +52,29 @@ class Visible:
         return self.detectability < INVISIBLE
 
 
-def foresee(simulator: Simulator, fit: Fit, found: Sequence[Template]) -> tuple[Visible, ...]:
+def foresee(simulator: Simulator, noise: Noise, fit: Fit, found: Sequence[Template]) -> tuple[Visible, ...]:
     """Every hypothesis at its most visible setting, without any prior on what is refitted.
 
     Args:
         simulator: what predicts.
+        noise: its covariance.
         fit: to data, or to expected values.
         found: templates around it.
     """
     projection = Projection.of(fit.jacobian, np.full(len(fit.penalty), 1e-12))
-    return _all(_strongest(found, projection), projection, fit, simulator)
+    straight = [_tangent(simulator, noise, fit, template) for template in found]
+    return _all(_strongest(straight, projection), projection, fit, simulator)
+
+
+def _tangent(simulator: Simulator, noise: Noise, fit: Fit, template: Template) -> Template:
+    """The template of one signed amplitude as a derivative: two that undo one another differ where they are curved."""
+    hypothesis = template.hypothesis
+    if hypothesis.by_channel or hypothesis.flag or not hypothesis.signed:
+        return template
+    step = _STEP * max(hypothesis.upper, -hypothesis.lower)
+    ends = (Term(hypothesis, side * step, template.setting) for side in (1.0, -1.0))
+    above, below = (simulator.predict(fit.state.own, fit.state.shared, (*fit.state.terms, end)) for end in ends)
+    return replace(template, columns=noise.whiten((above - below)[None] / (2.0 * step)).T)
 
 
 def _strongest(found: Sequence[Template], projection: Projection) -> list[tuple[Hypothesis, Array]]:
@@ -79,7 +97,8 @@ def _all(
     inner = projection.inner(columns, columns)
     size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     raw = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    cosine = np.abs(inner) / np.outer(size, size)
+    seen = size > _ABSORBED * raw
+    cosine = np.where(np.outer(seen, seen), np.abs(inner) / np.outer(size, size), 0.0)
     shape = (len(simulator.channels), len(simulator.own))
     solved = np.linalg.lstsq(fit.jacobian, columns, rcond=1e-10)[0]
     shifts = np.asarray(solved[: shape[0] * shape[1]], np.float64)

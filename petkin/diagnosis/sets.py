@@ -47,7 +47,10 @@ def confusability(effects: Sequence[Array], projection: Projection) -> Array:
 
 
 def smallest_set(probability: Mapping[str, float], alike: Mapping[frozenset[str], float]) -> tuple[str, ...]:
-    """Fewest explanations that hold the mass among the named, with all that are alike to one of the likely ones.
+    """Fewest explanations that hold the mass among the named, with all that are alike to the likeliest.
+
+    An explanation and the same with a second effect look alike wherever the first is strong; whether the second is
+    there is what their evidence says, so that neither stands in for the other.
 
     Args:
         probability: by name.
@@ -62,5 +65,12 @@ def smallest_set(probability: Mapping[str, float], alike: Mapping[frozenset[str]
         chosen.append(name)
         held += probability[name]
     leader = chosen[0]
-    partners = [n for n in ranked if n not in chosen and alike.get(frozenset((leader, n)), 0.0) >= ALIKE]
+    others = [n for n in ranked if n not in chosen and not _nested(leader, n)]
+    partners = [n for n in others if alike.get(frozenset((leader, n)), 0.0) >= ALIKE]
     return (*chosen, *partners)
+
+
+def _nested(one: str, other: str) -> bool:
+    """Whether all effects of one are among those of the other."""
+    mine, theirs = set(one.split("+")), set(other.split("+"))
+    return mine <= theirs or theirs <= mine

@@ -57,6 +57,7 @@ def diagnose(
     """
     from petkin.cli.parsing import labels, typed_command
     from petkin.cli.progress import progress_bar
+    from petkin.cli.tell import tell_diagnoses
     from petkin.study.diagnose import diagnose_study, foresee_study
     from petkin.study.diagnosis.request import DiagnoseRequest
 
@@ -77,8 +78,4 @@ def diagnose(
         found = () if design else diagnose_study(request, step)
     for label, text in foreseen:
         print(f"{label}:\n{text}")
-    for one in found:
-        print(f"{one.label}: {one.answer['verdict']['sentence']}")
-        if one.answer["verdict"]["split_by"]:
-            print(f"  To tell them apart: {one.answer['verdict']['split_by']}.")
-        print(f"  Report: {one.report}")
+    tell_diagnoses(found)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from petkin.fitting import FitResult
     from petkin.reporting import TruthRow
+    from petkin.study.diagnose import Diagnosed
     from petkin.study.fit_scan import ScanFit
     from petkin.study.outcome import Fitted, Outcome
 
@@ -55,6 +56,15 @@ def tell_errors(fitted: Sequence[Fitted], study: Path) -> None:
         console = _console()
         console.print("Against the truth, by region:")
         console.print(table)
+
+
+def tell_diagnoses(found: Sequence[Diagnosed]) -> None:
+    """The verdict on every scan in a sentence, what would split it, and where the reports are."""
+    for one in found:
+        print(f"{one.label}: {one.answer['verdict']['sentence']}")
+        if one.answer["verdict"]["split_by"]:
+            print(f"  To tell them apart: {one.answer['verdict']['split_by']}.")
+        print(f"  Report: {one.report}")
 
 
 def _console() -> Console:

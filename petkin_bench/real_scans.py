@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import Diagnosis, diagnose
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nominal import base_fit
+from petkin.diagnosis.refit import State, refit
 from petkin.effects import EFFECTS, effect_named
 from petkin.effects.clock import grown
 from petkin.errors import InputError
@@ -45,8 +46,9 @@ class Case:
         group: withheld, blunder or twin.
         name: of the case.
         accepted: effects that are the answer; more than one where nothing can split them; none for a twin.
-        curves: values (C, K).
+        values: curves (C, K).
         simulator: what they are compared with.
+        rival: curves and simulator without what was withheld or put in; None for a twin.
     """
 
     group: str
@@ -54,6 +56,7 @@ class Case:
     accepted: tuple[str, ...]
     values: Array
     simulator: RegionalSimulator
+    rival: tuple[Array, RegionalSimulator] | None = None
 
 
 @dataclass(frozen=True)
@@ -103,27 +106,33 @@ def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None) -> Ite
 
 def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
     values = scan.curves.values
+    rival = (values, scan.full)
     fit, noise, *_ = base_fit(scan.full, values)
     yield Case("twin", "twin", (), fit.values + _drawn(noise, rng), scan.full)
     yield Case("withheld", "nothing", (), values, scan.full)
     for name in ("blood_volume", "vascular_trapping"):
-        yield Case("withheld", name, (name,), values, scan.cut(name))
-    yield Case("withheld", "second_tissue", ("second_tissue",), values, scan.one_tissue)
+        yield Case("withheld", name, (name,), values, scan.cut(name), rival)
+    yield Case("withheld", "second_tissue", ("second_tissue",), values, scan.one_tissue, rival)
     record = scan.full.input
     if record.total_plasma is not None:
         bare = replace(record, plasma=record.total_plasma, parent_fraction=None)
         yield Case(
-            "withheld", "parent_fraction", ("parent_fraction",), values, replace(scan.full, input=bare, _seen={})
+            "withheld",
+            "parent_fraction",
+            ("parent_fraction",),
+            values,
+            replace(scan.full, input=bare, measured=frozenset(), _seen={}),
+            rival,
         )
     timed = scan.cut("arterial_delay")
     fitted_s = float(fit.state.shared[0]) * width(effect_named("arterial_delay"))
     for late in (_LATE_S, -_LATE_S):
         moved = replace(timed, input=record.delayed((fitted_s + late) / SECONDS_PER_MINUTE), _seen={})
-        yield Case("withheld", f"delay{late:+.0f}s", ("arterial_delay", "frame_offset"), values, moved)
+        yield Case("withheld", f"delay{late:+.0f}s", ("arterial_delay", "frame_offset"), values, moved, rival)
     for name, blunder in _BLUNDERS.items():
         spoilt = values * blunder(scan.full.clock, rng)
         for simulator in (scan.full, scan.cut("vascular_trapping")):
-            yield Case("blunder", name, (name,), spoilt, simulator)
+            yield Case("blunder", name, (name,), spoilt, simulator, (values, simulator))
 
 
 def _drawn(noise: Noise, rng: np.random.Generator) -> Array:
@@ -176,7 +185,7 @@ def _row(label: str, case: Case, seed: int) -> dict[str, object]:
         "first": _names(found.chosen[:1], case.accepted),
         "in_set": _names(found.chosen, case.accepted),
         "closure": "" if leader is None or leader.closure is None else round(leader.closure.value, 3),
-        "detectability": _detectability(found, case.accepted),
+        "detectability": _detectability(found, case),
         "cpu_s": round(seconds, 2),
     }
 
@@ -186,9 +195,17 @@ def _names(labels: tuple[str, ...], accepted: tuple[str, ...]) -> bool:
     return any(name in accepted for label in labels for name in label.split("+"))
 
 
-def _detectability(found: Diagnosis, accepted: tuple[str, ...]) -> object:
-    """d' of the answer at the end of its plausible range in this scan."""
-    return next((round(v.detectability, 1) for v in found.visible if v.hypothesis.name in accepted), "")
+def _detectability(found: Diagnosis, case: Case) -> object:
+    """d' after the refit: how much worse these curves fit without the answer than with it, in the noise of either."""
+    if case.rival is None:
+        return ""
+    values, simulator = case.rival
+    noise = base_fit(simulator, values)[1]
+    with_it, without = (
+        min(refit(s, v, noise, State(own, s.shared.mean)).objective for own in s.starts)
+        for v, s in (case.rival, (case.values, case.simulator))
+    )
+    return round(max(without - with_it, 0.0) ** 0.5, 1)
 
 
 def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:

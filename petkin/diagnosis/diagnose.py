@@ -94,7 +94,7 @@ def diagnose(
 def foresee_design(simulator: Simulator, data: Array, hypotheses: Sequence[Hypothesis]) -> tuple[Visible, ...]:
     """What a design could tell, around the simulator's fit and with the noise of some data of it."""
     base, noise, _, _ = base_fit(simulator, data)
-    return foresee(simulator, base, _scan(simulator, noise, base, hypotheses).templates)
+    return foresee(simulator, noise, base, _scan(simulator, noise, base, hypotheses).templates)
 
 
 def _scan(simulator: Simulator, noise: Noise, base: Fit, hypotheses: Sequence[Hypothesis]) -> Scan:
@@ -145,6 +145,7 @@ def _verdict(
     probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=LAPSE)
     present = p <= CLAIM
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
+    listed = sorted(listed, key=lambda c: -probability[c.label])
     listed = [c if c.fit is not None else _with_fit(simulator, data, explained, c) for c in listed]
     gaps = {c.label: noise.whiten(c.fit.values - base.values) for c in listed if c.fit is not None}
     alike = _alike(gaps, projection)
@@ -190,7 +191,7 @@ def _verdict(
         evidence={c.label: (stage[c.label], c.log_evidence) for c in ranked if len(c.names) == 1},
         strengths=strengths(ranked, explained.scan, simulator, base),
         unknown_evidence=unnamed,
-        visible=foresee(simulator, base, explained.scan.templates),
+        visible=foresee(simulator, noise, base, explained.scan.templates),
         alike=alike,
         likely=causes,
     )

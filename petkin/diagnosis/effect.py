@@ -49,6 +49,7 @@ class Hypothesis:
         flag: whether it is there or not, at amplitude 1.
         split_by: the measurement that would tell it from what looks like it.
         log_odds: what is known of it before the data, beyond that it may be there.
+        trust: part of the range that is likely where what it concerns was measured with care; 1 for all of it.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Hypothesis:
     flag: bool = False
     split_by: str = ""
     log_odds: float = 0.0
+    trust: float = 1.0
 
     @property
     def signed(self) -> bool:
@@ -80,7 +82,7 @@ class Hypothesis:
     @property
     def width(self) -> float:
         """Standard deviation of the amplitude's prior."""
-        return _PRIOR_WIDTHS * max(abs(self.lower), abs(self.upper))
+        return _PRIOR_WIDTHS * self.trust * max(abs(self.lower), abs(self.upper))
 
     @property
     def typical(self) -> float:

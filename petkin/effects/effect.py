@@ -40,6 +40,7 @@ class Effect:
         grid: values at which a diagnosis starts, by symbol, of parameters other than the amplitude; those that are not
             named here and not "onset", "frame" or "region" stay at their start.
         suits: whether a forward model can have it.
+        trust: part of the range that is likely where the files say that what it concerns was measured with care.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Effect:
     flag: bool = False
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     suits: Callable[[ForwardModel], bool] = _always
+    trust: float = 1.0
 
     def __post_init__(self) -> None:
         if self.stage not in STAGES:

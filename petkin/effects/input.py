@@ -189,6 +189,7 @@ PARENT_FRACTION = Effect(
     change=_metabolised,
     split_by="parent fraction measured in more samples, or a second measurement of them",
     grid={"half_time": (3.0, 8.0, 20.0)},
+    trust=0.1,
 )
 
 INPUT_SCALE = Effect(

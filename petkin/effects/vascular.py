@@ -50,4 +50,5 @@ VASCULAR_TRAPPING = Effect(
     source="Rizzo G et al. J Cereb Blood Flow Metab 2014;34:1060-1069, doi:10.1038/jcbfm.2014.55",
     change=_trap,
     split_by="a scan after blocking, or a longer scan",
+    regional=("Kb",),
 )

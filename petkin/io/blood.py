@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,6 +29,7 @@ class BloodRecord:
         automatic: autosampler samples, mostly whole blood alone; None where there are none.
         dispersion_corrected: whether the files say that dispersion in the lines was taken out.
         dispersion_constant: time constant of that dispersion, min; None where it is not stated.
+        metabolites_measured: whether the files say that metabolites were measured and their recovery corrected for.
         where: file names.
         remarks: what was odd or converted.
         units: activity units that the files state, for remarks that compare them with the image's.
@@ -40,6 +42,7 @@ class BloodRecord:
     where: str
     remarks: tuple[Remark, ...] = ()
     units: tuple[str, ...] = ()
+    metabolites_measured: bool = False
 
     @property
     def tables(self) -> tuple[pd.DataFrame, ...]:
@@ -118,7 +121,13 @@ def join_recordings(recordings: Mapping[str, BloodTable], *, dispersion_constant
         where=", ".join(table.where for table in by_kind.values()),
         remarks=(*(remark for table in by_kind.values() for remark in table.remarks), *dispersed),
         units=tuple(sorted({unit for table in by_kind.values() for unit in table.units.values()})),
+        metabolites_measured=any(_measured_metabolites(table.fields) for table in by_kind.values()),
     )
+
+
+def _measured_metabolites(fields: Mapping[str, Any]) -> bool:
+    method, corrected = fields.get("MetaboliteMethod"), fields.get("MetaboliteRecoveryCorrectionApplied")
+    return fields.get("MetaboliteAvail") is True and bool(method) and corrected is True
 
 
 def _kind(recording: str, table: BloodTable) -> str:

@@ -227,9 +227,14 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
     end = float(curves.frames.end[-1])
     arterial = recorded_input(source.blood, end)
     nodes = reading_nodes(arterial, end)
-    clock = FrameObservation(curves.frames, source.decay)
     return curves, RegionalSimulator(
-        curves.names, request.compartments.label, read_at(arterial, nodes), clock, request.included, nodes
+        curves.names,
+        request.compartments.label,
+        read_at(arterial, nodes),
+        FrameObservation(curves.frames, source.decay),
+        request.included,
+        nodes,
+        frozenset({"parent_fraction"}) if source.blood.metabolites_measured else frozenset(),
     )
 
 

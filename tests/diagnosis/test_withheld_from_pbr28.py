@@ -50,3 +50,13 @@ def test_a_clock_ten_seconds_off(shared_data: Path) -> None:
         late = replace(simulator, input=simulator.input.delayed((seconds + 10.0) / 60.0), _seen={})
         found += bool({"arterial_delay", "frame_offset"} & names_in_set(curves, late))
     assert found == pytest.approx(SCANS)
+
+
+def test_a_parent_fraction_measured_with_care_is_seldom_far_off(shared_data: Path) -> None:
+    """Chromatography with its recovery corrected, as these sidecars say: a tenth of the range is likely, else all."""
+    _, simulator = scans(shared_data, "2tcm", "blood_volume", "arterial_delay")[0]
+    careful, careless = (
+        next(h for h in hypotheses(EFFECTS, one, without=frozenset()) if h.name == "parent_fraction")
+        for one in (simulator, replace(simulator, measured=frozenset(), _seen={}))
+    )
+    assert careful.width == pytest.approx(0.1 * careless.width)

@@ -52,6 +52,7 @@ class RegionalSimulator:
         clock: frames.
         includes: effects that are refitted with the kinetics.
         nodes: times at which the input is read, min.
+        measured: effects whose part of the record was measured with care.
     """
 
     channels: tuple[str, ...]
@@ -60,6 +61,7 @@ class RegionalSimulator:
     clock: FrameObservation
     includes: tuple[Effect, ...]
     nodes: Array
+    measured: frozenset[str] = frozenset()
     _seen: dict[Any, Tabulated] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -201,6 +203,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         by_channel=bool(effect.regional),
         flag=effect.flag,
         split_by=effect.split_by,
+        trust=effect.trust if effect.name in simulator.measured else 1.0,
     )
 
 

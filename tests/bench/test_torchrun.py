@@ -15,7 +15,7 @@ def _run(command: list[str], folder: Path) -> pd.DataFrame:
     arguments = ["-m", "petkin_bench", "run", *options, "--results", str(folder), "--episodes", "2"]
     done = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
-    assert len(pd.read_csv(folder / "learning.csv")) == 2
+    assert len(pd.read_csv(folder / "learning.csv")) == 4
     return pd.read_csv(next(folder.glob("tiny_*.csv")))
 
 

@@ -28,8 +28,9 @@ Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 12, 0.5
-#: What it costs in log evidence beside a name, and beside how many explanations it is looked for.
-_STRANGER, _BESIDE = 4.0, 6
+#: Beside a name: what it costs in log evidence, and which share of the name's own it may add; where more is left than
+#: that, the name is not what the gap is. Beside how many explanations it is looked for.
+_STRANGER, _SMALL, _BESIDE = 4.0, 0.2, 6
 
 
 class Explanation(Protocol):
@@ -117,7 +118,8 @@ def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[fl
         fit, value = candidate.fit, candidate.log_evidence
         if fit is not None and looked < _BESIDE:
             smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
-            value = float(np.logaddexp(value, value + float(smooth.evidence(fit.residual)) - _STRANGER))
+            more = min(float(smooth.evidence(fit.residual)), _SMALL * max(value, 0.0))
+            value = float(np.logaddexp(value, value + more - _STRANGER))
             looked += 1
         found.append(value)
     return found

@@ -9,6 +9,7 @@ import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,7 @@ def metrics(cases: Sequence[Judged]) -> list[Metric]:
         *_places(strong),
         *_pairs([c for c in cases if c.kind == "pair"]),
         *_unknown([c for c in cases if c.kind == "unknown" and c.number("perpendicular") >= _BEYOND], strong),
+        *_by_perpendicular([c for c in cases if c.kind == "unknown"]),
         *_calibration(cases, strong),
         *_closure([c for c in strong if c.claimed and c.cells["closure"]]),
         Metric("CPU s a scan, median", float(np.median(seconds)) if seconds else float("nan"), len(seconds)),
@@ -192,6 +194,16 @@ def _unknown(alien: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
         Metric("unknown: AUROC", auroc(of_alien, of_known), len(alien), 0.9),
         _share("unknown: named with p > 0.9", sure, 0.05, "<="),
     ]
+
+
+def _by_perpendicular(alien: Sequence[Judged]) -> list[Metric]:
+    """Recall over what lies beyond one and two catalogued effects."""
+    found = []
+    for low, above in pairwise((0.0, _BEYOND, 8.0, 12.0, np.inf)):
+        part = [c for c in alien if low <= c.number("perpendicular") < above]
+        name = f"unknown: recall at d' beyond {low:g}-{above:g}"
+        found.append(_share(name, (c.cells["verdict"] == "unknown" for c in part)))
+    return found
 
 
 def auroc(positive: Array, negative: Array) -> float:

@@ -16,11 +16,11 @@ from petkin.fitting.device_tables import DeviceTables
 from petkin.fitting.inversion import fill_parameters
 from petkin.fitting.kernel import Tables
 from petkin.fitting.on_device import CHUNK
-from petkin.fitting.one_rate import OneRateTables
+from petkin.fitting.one_rate import OneRateTables, search_in_frames
 from petkin.fitting.parts import PART, in_parts
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Estimate, FitResult
-from petkin.fitting.search import REGIONS, Effort, search_among, search_tables
+from petkin.fitting.search import REGIONS, Effort, exponentials, search_among, search_tables
 from petkin.fitting.sensitivity import model_values
 from petkin.fitting.summary import Judge, Optimum
 from petkin.fitting.table import BasisTable, Compression, build_table, compress, project_rows
@@ -163,14 +163,12 @@ def _fit_shared(
     best = Optimum.of(len(settings.model.parameters), len(settings.model.macros), len(curves))
     tables = _tables(packed, settings)
 
-    def fit(rows: slice) -> _Left:
-        z, sizes, best.finite[rows], best.signal[rows] = project_curves(packed, weights, frames, rows.start, rows.stop)
-        outside = _free_optimum(z, sizes, rows, best, packed.blood, tables, settings)
-        chosen = np.flatnonzero(outside | settings.effort.refine)
-        return _Left(rows.start + chosen, z[:, chosen], sizes[chosen], outside[chosen])
+    def fit(rows: slice) -> NDArray[np.bool_]:
+        return _free_optimum(packed, weights, frames, rows, best, tables, settings)
 
     part = CHUNK if isinstance(tables, DeviceTables) else PART
-    _fit_left(in_parts(fit, len(curves), part), best, packed, settings)
+    outside = np.concatenate([np.empty(0, np.bool_), *in_parts(fit, len(curves), part)])
+    _fit_again(packed, weights, frames, outside, best, settings)
     best.theta[:, ~best.signal] = np.nan
     judge = Judge(settings.model, settings.box, settings.rate_bounds, packed, weights, settings.standard_errors)
     predicted = _predict(best.theta.T, packed, weights, settings) if settings.keep_predicted else None
@@ -201,41 +199,40 @@ def _tables(packed: Compression, settings: NonlinearSettings) -> SearchTables:
     )
 
 
-def _without_blood(z: Array, sizes: Array, vB: float, blood: float) -> tuple[Array, Array]:
-    """Curves and their sums of squares without vB C_B, which lies along the first axis."""
+def _without_blood(z: Array, sizes: Array, blood: float) -> tuple[Array, Array]:
+    """Curves and their sums of squares without the blood that is known, which lies along the first axis."""
+    if blood == 0.0:
+        return z, sizes
     off = z.copy()
-    off[0] -= vB * blood
-    return off, sizes - vB * blood * (z[0] + off[0])
-
-
-@dataclass(frozen=True)
-class _Left:
-    """Curves that need more than the free search: which, compressed, and whether their optimum left the box."""
-
-    rows: NDArray[np.intp]
-    z: Array
-    sizes: Array
-    outside: NDArray[np.bool_]
+    off[0] -= blood
+    return off, sizes - blood * (z[0] + off[0])
 
 
 def _free_optimum(
-    z: Array,
-    sizes: Array,
+    packed: Compression,
+    weights: Array,
+    frames: NDArray[np.floating],
     rows: slice,
     best: Optimum,
-    blood: float,
     tables: SearchTables,
     settings: NonlinearSettings,
 ) -> NDArray[np.bool_]:
     """Fill in the free optimum of some curves; which of them lies outside the box."""
     model, box, vB = settings.model, settings.box, settings.box["vB"]
-    if isinstance(tables, WallTables):
-        found = search_beside_wall(model, tables, z, sizes, settings.effort)
-    elif vB.fixed:
-        found = search_among(model, tables, *_without_blood(z, sizes, vB.start, blood), settings.effort)
-        found = replace(found, phi=found.phi / (1.0 - vB.start), vB=np.full_like(found.vB, vB.start))
+    held = vB.start if vB.fixed and not isinstance(tables, WallTables) else 0.0
+    if isinstance(tables, OneRateTables):
+        off = held * packed.blood
+        numbers, sizes, *seen = search_in_frames(tables, packed, weights, frames, rows, off=off)
+        found = exponentials(model, numbers)
     else:
-        found = search_among(model, tables, z, sizes, settings.effort)
+        z, sizes, *seen = project_curves(packed, weights, frames, rows.start, rows.stop)
+        if isinstance(tables, WallTables):
+            found = search_beside_wall(model, tables, z, sizes, settings.effort)
+        else:
+            found = search_among(model, tables, *_without_blood(z, sizes, held * packed.blood), settings.effort)
+    best.finite[rows], best.signal[rows] = seen
+    if vB.fixed and not isinstance(tables, WallTables):
+        found = replace(found, phi=found.phi / (1.0 - held), vB=np.full_like(found.vB, held))
     inside = fill_parameters(model, found, box, ON_BOUND, best.theta[:, rows])
     best.cost[rows] = np.maximum(found.cost, np.finfo(np.float64).eps * sizes)
     best.converged[rows] = found.converged
@@ -244,22 +241,25 @@ def _free_optimum(
     return best.signal[rows] & (~inside | doubtful)
 
 
-def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: NonlinearSettings) -> None:
+def _fit_again(
+    packed: Compression,
+    weights: Array,
+    frames: NDArray[np.floating],
+    outside: NDArray[np.bool_],
+    best: Optimum,
+    settings: NonlinearSettings,
+) -> None:
     """Bounded fits where the free optimum left the box; elsewhere, if asked for, a finish on explicit residuals."""
-    rows = np.concatenate([np.empty(0, np.intp), *(part.rows for part in left)])
-    if rows.size == 0:
-        return
-    z, sizes = np.concatenate([part.z for part in left], axis=1), np.concatenate([part.sizes for part in left])
-    outside = np.concatenate([part.outside for part in left])
+    inside = best.signal & ~outside & settings.effort.refine
     tolerance = max(1e-2 * settings.effort.tolerance, 1e-10)
-    for chosen, starts in ((outside, settings.effort.starts), (best.signal[rows] & ~outside, 0)):
-        for part in _chunks(np.flatnonzero(chosen)):
-            here = rows[part]
+    for chosen, starts in ((outside, settings.effort.starts), (inside, 0)):
+        for here in _chunks(np.flatnonzero(chosen)):
+            z, sizes, *_ = project_curves(packed, weights, np.ascontiguousarray(frames[:, here]), 0, len(here))
             theta, cost, converged = fit_in_box(
                 settings.model,
                 packed,
-                z[:, part],
-                sizes[part],
+                z,
+                sizes,
                 best.theta[:, here].T,
                 settings.box,
                 settings.rate_bounds,
@@ -268,7 +268,7 @@ def _fit_left(left: list[_Left], best: Optimum, packed: Compression, settings: N
                 explicit=settings.effort.refine,
             )
             best.theta[:, here], best.converged[here] = theta.T, converged
-            best.cost[here] = np.maximum(cost, np.finfo(np.float64).eps * sizes[part])
+            best.cost[here] = np.maximum(cost, np.finfo(np.float64).eps * sizes)
 
 
 def _chunks(rows: NDArray[np.intp]) -> list[NDArray[np.intp]]:

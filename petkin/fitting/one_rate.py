@@ -1,18 +1,19 @@
-"""One free rate beside columns that all curves share: scored at every other node, then a few Newton steps.
+"""One free rate beside columns that all curves share: scored at every third node, then climbed to the top.
 
 Per curve, in compressed coordinates z, minimise over amplitudes x and one rate a = exp(u) - RATE_OFFSET
 
     | z - x0 axis - x1 b(u) - x2 b(0) |^2,
 
 axis the first coordinate (blood, or a reference curve), b(0) the last column of a trapping model. With the amplitudes
-projected out this is a function of one number, so all of its interval is looked at and no second start is needed.
+projected out this is a function of one number, so all of its interval is looked at and no second start is needed; it
+is made of polynomials (`off_atoms`), and Newton's steps end the search (`climb`).
 It serves 1TCM (`SINGLE`: x0, x1 >= 0), 2TCM3k (`TRAPPED`: and x2 >= 0) and SRTM (`SIGNED`: x0, x1 of either sign).
 
 On any `Compression` (kinds from `petkin.fitting.scan`, the rest from here and beside):
 
     packed = compress(build_table(arterial, observation, rate_bounds=(slow, fast), nodes=80), weights, size=16)
     z, sizes, finite, signal = project_curves(packed, weights, frames, 0, N)
-    found = search_one_rate(one_rate_tables(packed), z, sizes, SIGNED, tolerance=1e-4)
+    found = search_one_rate(one_rate_tables(packed, SIGNED), z, sizes)
     R1, x1, a = found[X0], found[X1], np.exp(found[U1]) - RATE_OFFSET
 
 For SRTM the table is built from `InputFunction(reference, reference)`; there R1 = x0, k2 = x1 + R1 a and
@@ -24,14 +25,17 @@ Reference: Gunn RN, Lammertsma AA, Hume SP, Cunningham VJ. NeuroImage 1997;6:279
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from petkin.fitting import newton
-from petkin.fitting.scan import BLOCK, SIGNED, TRAPPED, project, score, take
+from petkin.fitting import climb
+from petkin.fitting.blocks import BLOCK, even_rows, multiply
+from petkin.fitting.off_atoms import off_atoms, shared_axes, supports, without
+from petkin.fitting.projection import lens, note, project_block
+from petkin.fitting.scan import SIGNED, TRAPPED, score, shrink
 from petkin.fitting.table import Compression
 
 Array = NDArray[np.float64]
@@ -39,162 +43,221 @@ Array = NDArray[np.float64]
 #: Columns of the answer: u of the free rate and of the trapped column; amplitudes of axis, b(u), b(0); cost; steps.
 U1, U2, X0, X1, X2, COST, STEPS = range(7)
 
+#: Nodes from one that is scanned to the next.
+_SCANNED = 3
+#: Least position beside b(0).
+_APART = 1e-3
+
 
 class OneRateTables(NamedTuple):
     """A compressed table as this kernel reads it; positions x count nodes, u = low + spacing x.
 
     Args:
-        axis: length of the shared column along the first coordinate; 0 leaves it out.
+        kind: `SINGLE`, `TRAPPED` or `SIGNED`.
+        has_axis: whether the shared column along the first coordinate takes part.
         low, spacing: of the nodes in u.
-        first, last: positions that the free rate keeps between.
-        rows: b and db/dx of every node, as columns (R, 2 nodes).
-        own: see `InnerProducts`.
-        trap: rows on b(0) (2 nodes,).
-        node: the first that is scanned; then every other.
-        scanned: unit atoms there, off the axis (C, R), single precision.
+        first, last: positions that the free rate keeps between; the first of every support (S,).
+        axes, mix: of every support, orthonormal axes of axis and b(0) where they are at work, and what makes their
+            amplitudes from components along them (S, 2, R), (S, 2, 2).
+        without: of every support, numbers of those without axis and without b(0) (S, 2); -1 for none.
+        cubics, numbers: of every support, see `off_atoms`, flat (S, cells * R * 4), (S, cells * NUMBERS).
+        node: the first that is scanned; then every third.
+        scanned: unit atoms there, off the axis, single precision, an even number of rows.
         lead: their lean on the axis (C,), 0 without it.
         near: their lean on b(0), which is the first of them where that takes part (C,).
     """
 
-    axis: float
+    kind: int
+    has_axis: bool
     low: float
     spacing: float
-    first: float
+    first: Array
     last: float
-    rows: Array
-    own: Array
-    trap: Array
+    axes: Array
+    mix: Array
+    without: Array
+    cubics: Array
+    numbers: Array
     node: int
-    scanned: NDArray[np.float32]
+    scanned: NDArray[np.floating]
     lead: NDArray[np.float32]
     near: NDArray[np.float32]
 
 
 def one_rate_tables(
-    packed: Compression, *, axis: bool = True, rates: tuple[float, float] = (0.0, np.inf)
+    packed: Compression, kind: int, *, axis: bool = True, rates: tuple[float, float] = (0.0, np.inf)
 ) -> OneRateTables:
     """Tables for `search_one_rate`.
 
     Args:
         packed: compressed table; for `TRAPPED` its first node must be a = 0.
+        kind: `SINGLE`, `TRAPPED` or `SIGNED`.
         axis: whether the column along the first coordinate takes part.
         rates: interval of the free rate, 1/min; the table's where that is narrower.
     """
-    products = packed.products
+    spacing = float(packed.u[1] - packed.u[0])
+    columns = np.stack([packed.blood * axis * np.eye(1, packed.size)[0], packed.basis[0] * (kind == TRAPPED)])
+    chosen = supports(columns, all_free=kind == SIGNED)
+    at_work = [shared_axes(columns, support) for support in chosen]
+    atoms = [off_atoms(packed.basis, packed.slope * spacing, axes) for axes, _ in at_work]
     first, last = packed.positions(rates)
-    atoms = packed.basis[int(np.ceil(first)) : int(last) + 1 : 2].copy()
-    lead = atoms[:, 0].copy() if axis else np.zeros(len(atoms))
+    node = int(np.ceil(first))
+    scanned = packed.basis[node : int(last) + 1 : _SCANNED].copy()
+    lead = scanned[:, 0].copy() if axis else np.zeros(len(scanned))
     if axis:
-        atoms[:, 0] = 0.0
-    length = np.linalg.norm(atoms, axis=1)
-    atoms /= length[:, None]
+        scanned[:, 0] = 0.0
+    length = np.linalg.norm(scanned, axis=1)
+    scanned /= length[:, None]
     return OneRateTables(
-        packed.blood if axis else 0.0,
-        products.low,
-        products.spacing,
-        first,
+        kind,
+        axis,
+        float(packed.u[0]),
+        spacing,
+        # Where b(0) is among the columns at work, b(u) must lie off it.
+        np.array([max(first, _APART) if numbers[0, 0] == 0.0 else first for _, numbers in atoms]),
         last,
-        products.rows,
-        products.own,
-        products.gram[:, 0].copy(),
-        int(np.ceil(first)),
-        atoms.astype(np.float32),
+        np.stack([axes for axes, _ in at_work]),
+        np.stack([mix for _, mix in at_work]),
+        np.array([[without(chosen, at, d) for d in range(2)] for at in chosen], np.float64),
+        np.stack([cubics.ravel() for cubics, _ in atoms]),
+        np.stack([numbers.ravel() for _, numbers in atoms]),
+        node,
+        even_rows(scanned.astype(np.float32)),
         (lead / length).astype(np.float32),
-        (atoms @ atoms[0]).astype(np.float32),
+        (scanned @ scanned[0]).astype(np.float32),
     )
 
 
-def search_one_rate(tables: OneRateTables, z: Array, sizes: Array, kind: int, *, tolerance: float) -> Array:
+def search_one_rate(tables: OneRateTables, z: Array, sizes: Array) -> Array:
     """Best rate and amplitudes of every column of z, on this thread and without the interpreter's lock.
 
     Args:
         tables: from `one_rate_tables`.
         z: compressed curves (R, N), C order.
         sizes: sum_k w_k y_k^2 of every curve (N,).
-        kind: `SINGLE`, `TRAPPED` or `SIGNED`.
-        tolerance: the step that promises less than this share of the cost is the last.
 
     Returns:
         (7, N): u, u of b(0), x0, x1, x2, cost, steps; `MAX_STEPS` where it did not converge.
     """
     answer = np.empty((7, z.shape[1]))
-    nodes = len(tables.lead)
-    scratch = (
-        np.zeros((len(z), BLOCK)),
-        np.empty(BLOCK),
-        np.zeros((len(z), BLOCK), np.float32),
-        np.empty((nodes, BLOCK), np.float32),
-        np.zeros((nodes, BLOCK), np.float32),
-        np.empty(BLOCK, np.float32),
-        np.empty(BLOCK, np.int32),
-        np.zeros(newton.ROWS * BLOCK),
-    )
-    _search(z, sizes, tables, scratch, kind, tolerance, answer)
+    _search(z, sizes, np.zeros(len(z) * BLOCK), tables, _scratch(tables, len(z)), answer)
     return answer
 
 
+def search_in_frames(
+    tables: OneRateTables,
+    packed: Compression,
+    weights: Array,
+    frames: NDArray[np.floating],
+    rows: slice,
+    *,
+    off: float = 0.0,
+) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """The same from frame values, seen through the compression block by block, which never leave the cache.
+
+    Args:
+        tables: from `one_rate_tables`.
+        packed, weights, frames: see `project_curves`.
+        rows: which curves, with a start and a stop.
+        off: taken off every curve along the axis.
+
+    Returns:
+        as `search_one_rate`, and what `project_curves` says beside coordinates.
+    """
+    count = rows.stop - rows.start
+    answer, sizes = np.empty((7, count)), np.empty(count)
+    finite, signal = np.empty((2, count), np.bool_)
+    scratch = _scratch(tables, packed.size)
+    _search_frames(frames, rows.start, lens(packed, weights), off, tables, scratch, answer, sizes, finite, signal)
+    return answer, sizes, finite, signal
+
+
+def _scratch(tables: OneRateTables, size: int) -> tuple[NDArray[Any], ...]:
+    """Room to work in: lengths, the block at unit length, scores, what climbs."""
+    seen, scores = np.zeros((2, len(tables.scanned), BLOCK), np.float32)
+    return (
+        np.empty(BLOCK),
+        np.zeros(size * BLOCK, np.float32),
+        seen.ravel(),
+        seen,
+        scores,
+        np.empty(BLOCK, np.float32),
+        np.empty(BLOCK, np.int32),
+        np.empty(BLOCK, np.int64),
+        np.zeros(climb.ROWS * BLOCK),
+    )
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _search(z, sizes, tables, scratch, kind, tolerance, answer):
-    # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
-    axis, low, spacing, first, last, rows, own, trap, node, scanned, lead, near = tables
-    here, lengths, scaled, along, scores, top, best, work = scratch
+def _search(z, sizes, here, tables, scratch, answer):
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
-        take(z, sizes, start, size, here, lengths, scaled)
-        project(scanned, scaled, along)
-        score(scaled, along, lead, near, kind, axis > 0.0, scores, top, best)
-        _start(here, sizes, rows, kind, axis > 0.0, scores, best, start, size, node, first, last, work)
-        left = size
-        while left > 0:
-            newton.gather(here, rows, own, trap, kind == TRAPPED, size, work)
-            if kind == TRAPPED:
-                newton.step(work, axis > 0.0, rows[0, 0], trap[0], first, last, tolerance, True, False)
-            elif kind == SIGNED:
-                newton.step(work, axis > 0.0, 0.0, 0.0, first, last, tolerance, False, True)
-            else:
-                newton.step(work, axis > 0.0, 0.0, 0.0, first, last, tolerance, False, False)
-            left = 0
+        for r in range(z.shape[0]):
+            row = z[r, start : start + size]
             for n in range(size):
-                left += work[newton.DONE * BLOCK + n] < newton.ENDED
-        _hand_over(work, start, size, axis, low, spacing, answer)
+                here[r * BLOCK + n] = row[n]
+            for n in range(size, BLOCK):
+                here[r * BLOCK + n] = 0.0
+        _search_block(here, sizes[start : start + size], tables, scratch, answer[:, start : start + size])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _search_frames(frames, first, seen, off, tables, scratch, answer, sizes, finite, signal):
+    here = seen.block
+    for start in range(0, answer.shape[1], BLOCK):
+        size = min(BLOCK, answer.shape[1] - start)
+        project_block(frames, first + start, size, seen)
+        note(seen, start, size, sizes, finite, signal)
+        if off != 0.0:
+            for n in range(size):
+                before = here[n]
+                here[n] -= off
+                sizes[start + n] -= off * (before + here[n])
+        _search_block(here, sizes[start : start + size], tables, scratch, answer[:, start : start + size])
+
+
+@njit(cache=True, error_model="numpy")
+def _search_block(here, sizes, tables, scratch, answer):
+    """Answers of the curves of a block, flat rows."""
+    # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
+    kind, axis, low, spacing, first, last, axes, mix, without, cubics, numbers, node, scanned, lead, near = tables
+    lengths, scaled, flat, seen, scores, top, best, slots, work = scratch
+    signed, size = kind == SIGNED, len(sizes)
+    shrink(here, sizes, lengths, scaled)
+    multiply(scanned, scaled, flat)
+    score(scaled, seen, lead, near, kind, axis, scores, top, best)
+    _start(scores[: len(lead)], best, size, node, work)
+    for s in range(len(cubics)):
+        if climb.climb(s, cubics[s], numbers[s], here, size, first[s], last, signed, slots, work):
+            climb.project_shared(axes[s], here, work)
+            climb.settle(mix[s], s, without[s], signed, work)
+    _hand_over(work, sizes, low, spacing, answer)
 
 
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def _start(here, sizes, rows, kind, has_axis, scores, best, start, size, node, first, last, work):
-    """The first trial: the top of the parabola through the best node and its neighbours."""
-    for row in range(newton.OWN):
+def _start(scores, best, size, node, work):
+    """Where to climb from: the top of the parabola through the best node and its neighbours."""
+    for row in (climb.WANTED, climb.GAIN, climb.X0, climb.X1, climb.X2):
         for n in range(BLOCK):
             work[row * BLOCK + n] = 0.0
-    for n in range(BLOCK):
-        work[newton.CELL * BLOCK + n] = -1.0
-        work[newton.GAIN * BLOCK + n] = -1.0
-        work[newton.ON_AXIS * BLOCK + n] = here[0, n] if has_axis else 0.0
-    if kind == TRAPPED:
-        for r in range(here.shape[0]):
-            for n in range(BLOCK):
-                work[newton.ON_TRAP * BLOCK + n] += rows[r, 0] * here[r, n]
     for n in range(size):
         i = best[n]
         offset = 0.0
         if 0 < i < scores.shape[0] - 1:
             below, top, above = float(scores[i - 1, n]), float(scores[i, n]), float(scores[i + 1, n])
             bend = 2.0 * top - below - above
-            offset = (above - below) / bend if bend > 0.0 else 0.0  # in nodes, two between scanned ones
-        work[newton.TRIAL * BLOCK + n] = min(max(node + 2.0 * i + offset, first), last)
-        work[newton.SIZE * BLOCK + n] = sizes[start + n]
-    for n in range(size, BLOCK):
-        work[newton.DONE * BLOCK + n] = newton.ENDED
+            offset = (above - below) / bend if bend > 0.0 else 0.0
+        work[climb.START * BLOCK + n] = work[climb.BEST * BLOCK + n] = node + _SCANNED * (i + 0.5 * offset)
 
 
 @njit(cache=True, error_model="numpy")
-def _hand_over(work, start, size, axis, low, spacing, answer):
+def _hand_over(work, sizes, low, spacing, answer):
     """A block's answers."""
-    unit = 1.0 / axis if axis > 0.0 else 0.0
-    for n in range(size):
-        answer[U1, start + n] = low + spacing * work[newton.POSITION * BLOCK + n]
-        answer[U2, start + n] = low
-        answer[X0, start + n] = work[newton.FIRST * BLOCK + n] * unit
-        answer[X1, start + n] = work[newton.SECOND * BLOCK + n]
-        answer[X2, start + n] = work[newton.THIRD * BLOCK + n]
-        answer[COST, start + n] = work[newton.SIZE * BLOCK + n] - work[newton.GAIN * BLOCK + n]
-        answer[STEPS, start + n] = work[newton.STEPS * BLOCK + n]
+    for n in range(len(sizes)):
+        answer[U1, n] = low + spacing * work[climb.BEST * BLOCK + n]
+        answer[U2, n] = low
+        answer[X0, n] = work[climb.X0 * BLOCK + n]
+        answer[X1, n] = work[climb.X1 * BLOCK + n]
+        answer[X2, n] = work[climb.X2 * BLOCK + n]
+        answer[COST, n] = sizes[n] - work[climb.GAIN * BLOCK + n]
+        answer[STEPS, n] = work[climb.STEPS * BLOCK + n]

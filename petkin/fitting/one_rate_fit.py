@@ -18,10 +18,9 @@ from petkin.errors import InputError
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.dual import partials
 from petkin.fitting.lanes import MAX_STEPS
-from petkin.fitting.one_rate import COST, STEPS, U1, X0, X1, one_rate_tables, search_one_rate
+from petkin.fitting.one_rate import COST, STEPS, U1, X0, X1, one_rate_tables, search_in_frames
 from petkin.fitting.one_rate_errors import ENTRIES, one_rate_covariances
 from petkin.fitting.parts import in_parts
-from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Column, Estimate, FitResult, Status
 from petkin.fitting.scan import SIGNED, SINGLE
 from petkin.fitting.search import Effort
@@ -95,7 +94,7 @@ def fit_one_rate(
     """
     frames, count = frames_first(curves), len(curves)
     used = int(np.count_nonzero(weights))
-    tables = one_rate_tables(packed, axis=model.axis)
+    tables = one_rate_tables(packed, SIGNED if model.axis else SINGLE, axis=model.axis)
     found = _Found(
         np.empty((len(model.quantities), count)),
         np.empty((len(model.quantities), count)),
@@ -106,9 +105,7 @@ def fit_one_rate(
     )
 
     def fit(rows: slice) -> None:
-        z, sizes, finite, signal = project_curves(packed, weights, frames, rows.start, rows.stop)
-        kind = SIGNED if model.axis else SINGLE
-        best = search_one_rate(tables, z, sizes, kind, tolerance=effort.tolerance)
+        best, sizes, finite, signal = search_in_frames(tables, packed, weights, frames, rows)
         _look_at(found, rows, best, packed, model, used)
         found.cost[rows] = np.maximum(best[COST], np.finfo(np.float64).eps * sizes)
         status = found.status[rows]

@@ -2,18 +2,49 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from petkin.fitting.blocks import BLOCK, even_rows, multiply
 from petkin.fitting.table import Compression
 
 Array = NDArray[np.float64]
 
-#: Curves handled at a time.
-BLOCK = 64
 #: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
 _LARGEST = 1e30
+
+
+class Lens(NamedTuple):
+    """What compiled passes need to see a block of curves through a compression.
+
+    Args:
+        axes: frames to coordinates, an even number of rows.
+        weights: frame weights (K,).
+        every: the sum of all exponentials in the table, in coordinates (R,).
+        curves: scratch, frame values of a block, flat rows.
+        block: coordinates of a block, flat rows (R, or one more, times BLOCK).
+        sizes, squares, shares: of every curve of it, weighted and plain sums of squares, and its share of `every`.
+    """
+
+    axes: Array
+    weights: Array
+    every: Array
+    curves: Array
+    block: Array
+    sizes: Array
+    squares: Array
+    shares: Array
+
+
+def lens(packed: Compression, weights: Array) -> Lens:
+    """For one thread."""
+    axes = even_rows(packed.project)
+    rows, frames = axes.shape
+    every = np.ascontiguousarray(packed.basis.sum(axis=0))
+    return Lens(axes, weights, every, np.zeros(frames * BLOCK), np.empty(rows * BLOCK), *np.empty((3, BLOCK)))
 
 
 def project_curves(packed: Compression, weights: Array, frames: NDArray[np.floating], start: int, stop: int):
@@ -32,29 +63,41 @@ def project_curves(packed: Compression, weights: Array, frames: NDArray[np.float
     z = np.empty((packed.size, stop - start))
     sizes = np.empty(stop - start)
     finite, signal = np.empty((2, stop - start), np.bool_)
-    room = np.zeros(frames.shape[0] * BLOCK), np.empty(packed.size * BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    every = np.ascontiguousarray(packed.basis.sum(axis=0))
-    _project_all(frames, start, packed.project, weights, every, z, sizes, finite, signal, room)
+    _project_all(frames, start, lens(packed, weights), z, sizes, finite, signal)
     return z, sizes, finite, signal
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _project_all(frames, start, project, weights, every, z, sizes, finite, signal, room):
-    y, out, total, plain = room
+def _project_all(frames, start, seen, z, sizes, finite, signal):
     for first in range(0, z.shape[1], BLOCK):
         width = min(BLOCK, z.shape[1] - first)
-        _read(frames, start + first, width, y)
-        _measure(weights, y, total, plain)
-        for n in range(width):
-            finite[first + n] = plain[n] < _LARGEST * _LARGEST
-            sizes[first + n] = total[n]
-        _project(project, y, out)
-        _add(every, out, total)
-        for n in range(width):
-            signal[first + n] = total[n] > 0.0
-        for r in range(project.shape[0]):
+        project_block(frames, start + first, width, seen)
+        note(seen, first, width, sizes, finite, signal)
+        block = seen.block
+        for r in range(z.shape[0]):
             for n in range(width):
-                z[r, first + n] = out[r * BLOCK + n]
+                z[r, first + n] = block[r * BLOCK + n]
+
+
+@njit(cache=True, error_model="numpy")
+def project_block(frames, first, width, seen):
+    """Look at some curves: fills the block of the lens and its numbers."""
+    # Arrays are unpacked once: handing tuples on costs a reference count an array and call.
+    axes, weights, every, curves, block, sizes, squares, shares = seen
+    _read(frames, first, width, curves)
+    _measure(weights, curves, sizes, squares)
+    multiply(axes, curves, block)
+    _add(every, block, shares)
+
+
+@njit(cache=True, error_model="numpy")
+def note(seen, first, width, sizes, finite, signal):
+    """Write down what of the block does not depend on a model: see `project_curves`."""
+    whole, squares, shares = seen.sizes, seen.squares, seen.shares
+    for n in range(width):
+        sizes[first + n] = whole[n]
+        finite[first + n] = squares[n] < _LARGEST * _LARGEST
+        signal[first + n] = shares[n] > 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -92,29 +135,6 @@ def _measure(weights, y, total, plain):
             total[n] = 0.0
             for k in range(frames):
                 y[k * BLOCK + n] = 0.0
-
-
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def _project(axes, y, out):
-    """axes @ y, eight frames at a time."""
-    frames = axes.shape[1]
-    for r in range(axes.shape[0]):
-        for n in range(BLOCK):
-            out[r * BLOCK + n] = 0.0
-        k = 0
-        while k + 8 <= frames:
-            a0, a1, a2, a3 = axes[r, k], axes[r, k + 1], axes[r, k + 2], axes[r, k + 3]
-            a4, a5, a6, a7 = axes[r, k + 4], axes[r, k + 5], axes[r, k + 6], axes[r, k + 7]
-            for n in range(BLOCK):
-                i = k * BLOCK + n
-                near = (a0 * y[i] + a1 * y[i + BLOCK]) + (a2 * y[i + 2 * BLOCK] + a3 * y[i + 3 * BLOCK])
-                far = (a4 * y[i + 4 * BLOCK] + a5 * y[i + 5 * BLOCK]) + (a6 * y[i + 6 * BLOCK] + a7 * y[i + 7 * BLOCK])
-                out[r * BLOCK + n] += near + far
-            k += 8
-        while k < frames:
-            for n in range(BLOCK):
-                out[r * BLOCK + n] += axes[r, k] * y[k * BLOCK + n]
-            k += 1
 
 
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")

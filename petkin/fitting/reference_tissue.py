@@ -102,11 +102,11 @@ def shared_k2prime(
     z, sizes = np.ascontiguousarray(z[:, used]), sizes[used]
 
     def cost(log_rate: float) -> float:
-        tables = one_rate_tables(with_known_k2prime(packed, float(np.exp(log_rate))), axis=False)
+        tables = one_rate_tables(with_known_k2prime(packed, float(np.exp(log_rate))), SINGLE, axis=False)
 
         def of(rows: slice) -> float:
             z_here = np.ascontiguousarray(z[:, rows])
-            return float(search_one_rate(tables, z_here, sizes[rows], SINGLE, tolerance=effort.tolerance)[COST].sum())
+            return float(search_one_rate(tables, z_here, sizes[rows])[COST].sum())
 
         return sum(in_parts(of, len(sizes)))
 

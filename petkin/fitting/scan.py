@@ -9,11 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from petkin.fitting.blocks import BLOCK
+
 #: What the shared columns are: the axis alone; the axis and b(0); the axis alone, with amplitudes of either sign.
 SINGLE, TRAPPED, SIGNED = 1, 2, 3
-
-#: Curves in step.
-BLOCK = 64
 
 #: Sums may be reassociated here, in loops without a remainder; NaN and infinity keep their meaning.
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
@@ -22,60 +21,37 @@ _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-6)
 
 
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def take(z, sizes, start, count, here, lengths, scaled):
-    """A block of curves as they are and, for the scan, at unit length; room without a curve is zero."""
-    for n in range(count):
-        lengths[n] = 1.0 / np.sqrt(max(sizes[start + n], 1e-300))
-    for r in range(z.shape[0]):
-        for n in range(count):
-            here[r, n] = z[r, start + n]
-            scaled[r, n] = z[r, start + n] * lengths[n]
-        for n in range(count, BLOCK):
-            here[r, n] = 0.0
-            scaled[r, n] = _ZERO
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def project(atoms, z, along):
-    """atoms @ z, eight directions at a time."""
-    for i in range(atoms.shape[0]):
+def shrink(here, sizes, lengths, scaled):
+    """A block of curves brought to unit length for the scan; flat rows, `sizes` of those that there are."""
+    for n in range(BLOCK):
+        lengths[n] = 0.0
+    for n in range(len(sizes)):
+        lengths[n] = 1.0 / np.sqrt(max(sizes[n], 1e-300))
+    for r in range(len(scaled) // BLOCK):
         for n in range(BLOCK):
-            along[i, n] = _ZERO
-        r = 0
-        while r + 8 <= atoms.shape[1]:
-            a0, a1, a2, a3 = atoms[i, r], atoms[i, r + 1], atoms[i, r + 2], atoms[i, r + 3]
-            a4, a5, a6, a7 = atoms[i, r + 4], atoms[i, r + 5], atoms[i, r + 6], atoms[i, r + 7]
-            for n in range(BLOCK):
-                along[i, n] += ((a0 * z[r, n] + a1 * z[r + 1, n]) + (a2 * z[r + 2, n] + a3 * z[r + 3, n])) + (
-                    (a4 * z[r + 4, n] + a5 * z[r + 5, n]) + (a6 * z[r + 6, n] + a7 * z[r + 7, n])
-                )
-            r += 8
-        while r < atoms.shape[1]:
-            for n in range(BLOCK):
-                along[i, n] += atoms[i, r] * z[r, n]
-            r += 1
+            scaled[r * BLOCK + n] = here[r * BLOCK + n] * lengths[n]
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
 def score(z, along, lead, near, kind, has_axis, scores, top, best):
     """What every scanned node explains of every curve, and the node that explains most; amplitudes in closed form."""
-    for i in range(along.shape[0]):
-        for n in range(BLOCK):
-            c = along[i, n]
-            scores[i, n] = c * c
-        if kind != SIGNED:
+    for i in range(len(lead)):
+        if kind == SIGNED:
+            for n in range(BLOCK):
+                scores[i, n] = along[i, n] * along[i, n]
+        else:
             li = lead[i]
             weight = _ONE / (_ONE + li * li)
             for n in range(BLOCK):
                 c = along[i, n]
-                z0 = z[0, n] if has_axis else _ZERO
+                z0 = z[n] if has_axis else _ZERO
                 off = max(c + li * z0, _ZERO)  # without the axis
                 scores[i, n] = z0 * z0 + c * c if (c > _ZERO) & (z0 >= li * c) else off * off * weight
         if kind == TRAPPED and i > 0:
             _score_trapped(i, z, along, lead, near, has_axis, scores)
     for n in range(BLOCK):
         top[n], best[n] = scores[0, n], np.int32(0)
-    for i in range(1, along.shape[0]):
+    for i in range(1, len(lead)):
         node = np.int32(i)
         for n in range(BLOCK):
             better = scores[i, n] > top[n]
@@ -94,7 +70,7 @@ def _score_trapped(i, z, along, lead, near, has_axis, scores):
     for n in range(BLOCK):
         ci, cj = along[i, n], along[0, n]
         xi, xj = ci - g * cj, cj - g * ci  # amplitudes, times 1 - g^2
-        z0 = z[0, n] if has_axis else _ZERO
+        z0 = z[n] if has_axis else _ZERO
         v = min(z0 - lean_i * xi - lean_j * xj, _ZERO)
         score = z0 * z0 + (ci * xi + cj * xj) * inverse - v * v * weight
         better = (score > scores[i, n]) & (xi > _ZERO) & (xj > _ZERO)

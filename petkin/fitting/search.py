@@ -86,12 +86,16 @@ def search_among(
     """The same with tables made beforehand, for curves that come in parts."""
     z, sizes = np.ascontiguousarray(z), np.ascontiguousarray(sizes)
     if isinstance(tables, OneRateTables):
-        kind = TRAPPED if model.trapping else SINGLE
-        found = search_one_rate(tables, z, sizes, kind, tolerance=effort.tolerance)
+        found = search_one_rate(tables, z, sizes)
     elif isinstance(tables, DeviceTables):
         found = search_on_device(z, sizes, tables, effort.tolerance, effort.again)
     else:
         found = kernel.search(z, sizes, tables, effort.tolerance, effort.again)
+    return exponentials(model, found)
+
+
+def exponentials(model: CompartmentModel, found: Array) -> Exponentials:
+    """What a compiled search found (7, N), as the model has it."""
     vB = np.minimum(found[kernel.X0], 1.0)
     held = np.where(vB < 1.0, 1.0 - vB, np.nan)
     atoms = model.free_rates + model.trapping
@@ -113,7 +117,7 @@ def search_tables(
     one = model.free_rates == 1
     rates = (0.0 if one and model.trapping else rates[0], rates[1])
     if one and device is None:
-        return one_rate_tables(packed, axis=blood, rates=rates)
+        return one_rate_tables(packed, TRAPPED if model.trapping else SINGLE, axis=blood, rates=rates)
     products = packed.products
     first, last = packed.positions(rates)
     count = int(last - np.ceil(first)) // 2 + 1 if one else effort.coarse

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize_scalar
 
-from petkin.fitting.one_rate import COST, STEPS, U1, X0, X1, X2, one_rate_tables, search_one_rate
+from petkin.fitting.one_rate import COST, STEPS, U1, X0, X1, X2, one_rate_tables, search_in_frames, search_one_rate
 from petkin.fitting.projection import project_curves
 from petkin.fitting.scan import SIGNED, SINGLE, TRAPPED
 from petkin.fitting.table import RATE_OFFSET, build_table, compress
@@ -33,10 +33,10 @@ def curves(kind: int, count: int, noise: float) -> np.ndarray:
     return clean + noise * counting_sd(np.abs(clean), 0.1) * rng.standard_normal(clean.shape)
 
 
-def found(kind: int, data: np.ndarray, tolerance: float = 1e-12, nodes: int = 160) -> np.ndarray:
+def found(kind: int, data: np.ndarray, nodes: int = 160) -> np.ndarray:
     packed = compress(build_table(ARTERIAL, PLAIN, rate_bounds=(SLOWEST, FASTEST), nodes=nodes), WEIGHTS)
     z, sizes, *_ = project_curves(packed, WEIGHTS, np.ascontiguousarray(data.T), 0, len(data))
-    return search_one_rate(one_rate_tables(packed), z, sizes, kind, tolerance=tolerance)
+    return search_one_rate(one_rate_tables(packed, kind), z, sizes)
 
 
 def least_cost(kind: int, curve: np.ndarray) -> float:
@@ -64,7 +64,7 @@ def test_noisy_curves_reach_the_least_cost(kind):
     answer = found(kind, data)
     least = np.array([least_cost(kind, curve) for curve in data])
     np.testing.assert_allclose(answer[COST], least, rtol=1e-5)
-    quick = found(kind, data, tolerance=1e-4, nodes=80)
+    quick = found(kind, data, nodes=80)
     np.testing.assert_allclose(quick[COST], least, rtol=1e-4)
 
 
@@ -104,7 +104,7 @@ def test_without_the_axis_one_exponential_stands_alone():
     packed = compress(build_table(ARTERIAL, PLAIN, rate_bounds=(SLOWEST, FASTEST), nodes=160), WEIGHTS)
     data = 0.2 * basis_averages(np.array([0.07]))
     z, sizes, *_ = project_curves(packed, WEIGHTS, np.ascontiguousarray(data.T), 0, 1)
-    answer = search_one_rate(one_rate_tables(packed, axis=False), z, sizes, SINGLE, tolerance=1e-12)
+    answer = search_one_rate(one_rate_tables(packed, SINGLE, axis=False), z, sizes)
     assert np.exp(answer[U1, 0]) - RATE_OFFSET == pytest.approx(0.07, rel=1e-5)
     assert answer[X1, 0] == pytest.approx(0.2, rel=1e-5)
     assert answer[X0, 0] == 0.0
@@ -117,10 +117,25 @@ def test_without_the_axis_the_first_look_leaves_it_out() -> None:
     packed = compress(table, problem.weights, size=16)
     frames = np.ascontiguousarray((problem.curves - 0.05 * table.blood).T)
     z, sizes, *_ = project_curves(packed, problem.weights, frames, 0, frames.shape[1])
-    cost = search_one_rate(one_rate_tables(packed, axis=False), z, sizes, TRAPPED, tolerance=1e-9)[COST]
+    cost = search_one_rate(one_rate_tables(packed, TRAPPED, axis=False), z, sizes)[COST]
     b, trapped = packed.basis[1:], packed.basis[0]
     g, near, held = (b * b).sum(axis=1)[:, None], (b @ trapped)[:, None], trapped @ trapped
     along, kept = b @ z, trapped @ z
     x, y = (along * held - kept * near) / (g * held - near**2), (kept * g - along * near) / (g * held - near**2)
     explained = np.where((x >= 0) & (y >= 0), along * x + kept * y, np.maximum(along, 0.0) ** 2 / g)
     assert (cost <= (sizes - explained.max(axis=0)) * (1.0 + 1e-6)).all()
+
+
+@pytest.mark.parametrize("kind", [SINGLE, TRAPPED], ids=["single", "trapped"])
+def test_frames_and_coordinates_give_the_same(kind):
+    """Blood that is known is taken off, for a number of curves that fills no block."""
+    data = curves(kind, 70, noise=1.0)
+    packed = compress(build_table(ARTERIAL, PLAIN, rate_bounds=(SLOWEST, FASTEST), nodes=80), WEIGHTS, size=16)
+    frames, off = np.ascontiguousarray(data.T), 0.03 * packed.blood
+    tables = one_rate_tables(packed, kind, axis=False)
+    z, sizes, *flags = project_curves(packed, WEIGHTS, frames, 0, 70)
+    sizes, z[0] = sizes - off * (2.0 * z[0] - off), z[0] - off
+    answer, left, *seen = search_in_frames(tables, packed, WEIGHTS, frames, slice(0, 70), off=off)
+    np.testing.assert_allclose(left, sizes, rtol=1e-12)
+    np.testing.assert_allclose(answer, search_one_rate(tables, z, sizes), rtol=1e-9)
+    assert all((a == b).all() for a, b in zip(seen, flags))

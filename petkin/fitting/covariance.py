@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from petkin.fitting import lanes
+from petkin.fitting import lanes, normal_one
 from petkin.fitting.lanes import LANES, OWN
 from petkin.fitting.normal import (
     ALL_ROWS,
@@ -31,6 +31,7 @@ from petkin.fitting.normal import (
     invert,
     invert_again,
 )
+from petkin.fitting.normal_one import gather_one, invert_one
 from petkin.fitting.table import RATE_OFFSET, Compression, InnerProducts
 from petkin.fitting.tape import Tape, record_partials, run
 from petkin.kinetics import CompartmentModel
@@ -191,13 +192,20 @@ def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
             percent[:, start : start + count] = np.nan
             continue
         place(memory, outputs, exponentials, low, spacing, float(len(own)), position, w)
-        gather(w, gram, own, position)
+        alone = exponentials == 1 and parameters <= normal_one.PARAMETERS
+        if alone:
+            gather_one(w, own, position)
+        else:
+            gather(w, gram, own, position)
         unpack(memory, outputs, parameters, exponentials, w)
-        invert(w, axis)
+        if alone:
+            invert_one(w, axis)
+        else:
+            invert(w, axis)
         for n in range(count):
             if w[LOST * LANES + n] > _TOO_MUCH:
                 invert_again(w, n, axis, rows, position[0, n], position[1, n], vectors, axes, work[0], work[1])
-        _parameter_errors(w, ends)
+        _parameter_errors(w, parameters, ends)
         for q in range(parameters):
             _copy(w[(_ERROR + q) * LANES :], percent[q], start, count)
         for m in range(macros):
@@ -300,7 +308,7 @@ def unpack(memory, outputs, parameters, exponentials, w):
 
 
 @njit(cache=True, error_model="numpy")
-def _parameter_errors(w, ends):
+def _parameter_errors(w, parameters, ends):
     """Percent standard errors of the parameters."""
     free = ends[2]
     for n in range(LANES):
@@ -308,8 +316,11 @@ def _parameter_errors(w, ends):
         _parameter_error(w, n, 0, INVERSE, scale, free)
         _parameter_error(w, n, 1, INVERSE + 5, scale, free)
         _parameter_error(w, n, 2, INVERSE + 9, scale, free)
-        _parameter_error(w, n, 3, INVERSE + 12, scale, free)
-        _parameter_error(w, n, 4, INVERSE + 14, scale, free)
+    if parameters > normal_one.PARAMETERS:
+        for n in range(LANES):
+            scale = w[_CHI2 * LANES + n]
+            _parameter_error(w, n, 3, INVERSE + 12, scale, free)
+            _parameter_error(w, n, 4, INVERSE + 14, scale, free)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

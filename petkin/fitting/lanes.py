@@ -61,7 +61,7 @@ def slope_weights(s):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _own(w, row, n, a, e):
+def own_products(w, row, n, a, e):
     """b.b, b.d, d.d and the blood components of b and d, from a gathered record of `own`."""
     k = row * LANES + n
     g00, g01, g02, g03 = w[k], w[k + LANES], w[k + 2 * LANES], w[k + 3 * LANES]
@@ -187,10 +187,10 @@ def evaluate(w, registers, blood):
     g00 = blood * blood
     for n in range(registers * REGISTER):
         a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
-        g11, c11, d11, l1, k1 = _own(w, OWN_1, n, a, e)
+        g11, c11, d11, l1, k1 = own_products(w, OWN_1, n, a, e)
         h1, m1 = combine(w, SEEN_1, n, a), combine(w, SEEN_1, n, e)
         p, q = value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
-        g22, c22, d22, l2, k2 = _own(w, OWN_2, n, p, q)
+        g22, c22, d22, l2, k2 = own_products(w, OWN_2, n, p, q)
         h2, m2 = combine(w, SEEN_2, n, p), combine(w, SEEN_2, n, q)
         u0, u1, u2, u3 = _across(w, n, a)
         v0, v1, v2, v3 = _across(w, n, e)
@@ -306,9 +306,9 @@ def weights_2(w, n):
 def inner_products(w, n):
     """Products of the unit axis, b1, db1/dx, b2 and db2/dx at a lane's trial, row by row of the upper triangle."""
     a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
-    g11, c11, d11, l1, k1 = _own(w, OWN_1, n, a, e)
+    g11, c11, d11, l1, k1 = own_products(w, OWN_1, n, a, e)
     p, q = value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
-    g22, c22, d22, l2, k2 = _own(w, OWN_2, n, p, q)
+    g22, c22, d22, l2, k2 = own_products(w, OWN_2, n, p, q)
     u0, u1, u2, u3 = _across(w, n, a)
     v0, v1, v2, v3 = _across(w, n, e)
     g12 = u0 * p[0] + u1 * p[1] + u2 * p[2] + u3 * p[3]

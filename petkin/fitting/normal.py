@@ -27,10 +27,10 @@ ALL_ROWS = ROWS + 61
 
 _STRICT = {"contract", "nsz"}
 #: A pivot of the scaled matrix below this is taken for zero, and its inverse for this.
-_SMALLEST, _LARGEST = 1e-14, 1e30
+SMALLEST_PIVOT, LARGEST_INVERSE = 1e-14, 1e30
 #: Share of the curve that a parameter must move to count as felt.
 _FELT = 1e-13
-_ROUNDING = 1e-16
+ROUNDING = 1e-16
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
@@ -61,7 +61,7 @@ def dot(a, b):
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _scale(w, q, n, own, square):
+def scale_of(w, q, n, own, square):
     """1 / length of a column; 0 where the parameter is held or moves the curve by nothing but rounding."""
     felt = w[VALUE * LANES + q * LANES + n] ** 2 * own > _FELT * _FELT * square
     free = (w[(FREE + q) * LANES + n] > 0.0) & (own > 0.0) & (own < np.inf) & felt
@@ -84,7 +84,7 @@ def sweep(a, steepest):
     Five of them leave minus the inverse in the first order.
     """
     a00, a10, a20, a30, a40, a11, a21, a31, a41, a22, a32, a42, a33, a43, a44 = a
-    p = 1.0 / a00 if a00 > _SMALLEST else _LARGEST
+    p = 1.0 / a00 if a00 > SMALLEST_PIVOT else LARGEST_INVERSE
     b1, b2, b3, b4 = a10 * p, a20 * p, a30 * p, a40 * p
     swept = (
         a11 - b1 * a10,
@@ -116,24 +116,24 @@ def invert(w, axis):
         curve = (w[X0 * LANES + n] * axis, w[X1 * LANES + n], 0.0, w[X2 * LANES + n], 0.0)
         square = dot(apply(g, curve), curve)
         s0, s1, s2, s3, s4 = apply(g, c0), apply(g, c1), apply(g, c2), apply(g, c3), apply(g, c4)
-        f0, f1 = _scale(w, 0, n, dot(s0, c0), square), _scale(w, 1, n, dot(s1, c1), square)
-        f2, f3 = _scale(w, 2, n, dot(s2, c2), square), _scale(w, 3, n, dot(s3, c3), square)
-        f4 = _scale(w, 4, n, dot(s4, c4), square)
+        f0, f1 = scale_of(w, 0, n, dot(s0, c0), square), scale_of(w, 1, n, dot(s1, c1), square)
+        f2, f3 = scale_of(w, 2, n, dot(s2, c2), square), scale_of(w, 3, n, dot(s3, c3), square)
+        f4 = scale_of(w, 4, n, dot(s4, c4), square)
         a = (
             1.0,
-            _scaled(dot(s0, c1), f0 * f1),
-            _scaled(dot(s0, c2), f0 * f2),
-            _scaled(dot(s0, c3), f0 * f3),
-            _scaled(dot(s0, c4), f0 * f4),
+            scaled(dot(s0, c1), f0 * f1),
+            scaled(dot(s0, c2), f0 * f2),
+            scaled(dot(s0, c3), f0 * f3),
+            scaled(dot(s0, c4), f0 * f4),
             1.0,
-            _scaled(dot(s1, c2), f1 * f2),
-            _scaled(dot(s1, c3), f1 * f3),
-            _scaled(dot(s1, c4), f1 * f4),
+            scaled(dot(s1, c2), f1 * f2),
+            scaled(dot(s1, c3), f1 * f3),
+            scaled(dot(s1, c4), f1 * f4),
             1.0,
-            _scaled(dot(s2, c3), f2 * f3),
-            _scaled(dot(s2, c4), f2 * f4),
+            scaled(dot(s2, c3), f2 * f3),
+            scaled(dot(s2, c4), f2 * f4),
             1.0,
-            _scaled(dot(s3, c4), f3 * f4),
+            scaled(dot(s3, c4), f3 * f4),
             1.0,
         )
         steepest = 0.0
@@ -144,11 +144,11 @@ def invert(w, axis):
         a, steepest = sweep(a, steepest)
         _store(w, n, a, f0, f1, f2, f3, f4)
         worst = max(_terms(g, c0, f0), _terms(g, c1, f1), _terms(g, c2, f2), _terms(g, c3, f3), _terms(g, c4, f4))
-        w[LOST * LANES + n] = _ROUNDING * worst * steepest
+        w[LOST * LANES + n] = ROUNDING * worst * steepest
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
-def _scaled(value, both):
+def scaled(value, both):
     return value * both if both > 0.0 else 0.0
 
 
@@ -186,9 +186,9 @@ def invert_again(w, n, axis, rows, position_1, position_2, vectors, axes, upper,
             upper[k, q] = np.sum(axes[k] * axes[q])
             axes[q] -= upper[k, q] * axes[k]
         square = np.sum(axes[q] * axes[q])
-        felt = square > _SMALLEST
+        felt = square > SMALLEST_PIVOT
         free = w[(SCALE + q) * LANES + n] > 0.0
-        inverse[q, q] = 1.0 / np.sqrt(square) if felt else (np.sqrt(_LARGEST) if free else 0.0)
+        inverse[q, q] = 1.0 / np.sqrt(square) if felt else (np.sqrt(LARGEST_INVERSE) if free else 0.0)
         axes[q] *= inverse[q, q] if felt else 0.0
         for j in range(q):
             inverse[j, q] = 0.0

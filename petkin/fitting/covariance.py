@@ -144,8 +144,8 @@ def percent_errors(
         formulas: of the model.
         limits: parameters on a bound count as known, and have no error.
         values: parameters, then room for macro-parameters (P + M, N).
-        percent: room for 100 |se / value| (P + M, N). Infinite for what the curve does not feel, NaN for parameters on
-            a bound and for values that are not finite.
+        percent: room for 100 |se / value| (P + M, N). Infinite for what the curve does not feel and for infinite values
+            (VND where k2 = 0), NaN for parameters on a bound and for values that are no numbers.
         chi2: what variances are scaled by (N,).
         wanted: whether errors are wanted; NaN without.
 
@@ -353,7 +353,7 @@ def _macro_error(w):
         value = abs(w[_MACRO * LANES + n])
         error = 100.0 * np.sqrt(max(variance * w[_CHI2 * LANES + n], 0.0)) / value
         error = np.inf if s0 | s1 | s2 | s3 | s4 else error
-        w[_ERROR * LANES + n] = error if value < np.inf else np.nan
+        w[_ERROR * LANES + n] = error if value < np.inf else value
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)

@@ -38,7 +38,7 @@ def dense_errors(
         percent[:] = np.nan
         if wanted:
             errors = _errors(model, packed, theta, chi2, low | high, ~free, macro_chain)
-            percent[:] = np.where(np.isfinite(values), 100.0 * errors / np.abs(values), np.nan)
+            percent[:] = np.where(np.isfinite(values), 100.0 * errors / np.abs(values), np.abs(values))
         return _reached(model, limits, rates, low, high)
 
 

@@ -7,6 +7,9 @@ import pytest
 from scipy.stats import t as student
 
 from petkin.fitting import REGIONS, VOXELS, FitResult, NonlinearSettings, Status, fit_curves
+from petkin.fitting.covariance import Limits, model_errors
+from petkin.fitting.dense import dense_errors
+from petkin.fitting.table import build_table, compress
 from petkin.kinetics import TWO_TISSUE, compartment_model
 
 from .fitting_problems import ARTERIAL, FRAMES, PLAIN, counting_sd, frame_averages, macro, uniform_truth
@@ -112,3 +115,18 @@ def test_what_the_curve_does_not_feel_has_no_finite_error():
     k4 = result.percent_se("k4")[0]
     assert np.isnan(k4) or k4 > 100.0
     assert result.percent_se("VT")[0] < 1e-2  # K1/k2 does not need k4
+
+
+@pytest.mark.parametrize("fill_in", [model_errors, dense_errors])
+def test_an_infinite_value_has_an_infinite_error(fill_in):
+    """VND and VT of tracer that stays: k2 = 0 is a bound, K1 / k2 is not known, and counts as such."""
+    model, weights = compartment_model("1TCM"), FRAMES.duration
+    packed = compress(build_table(ARTERIAL, PLAIN, rate_bounds=(0.0, 5.0), nodes=80), weights, size=16)
+    limits = Limits(np.zeros(3, bool), np.zeros(3), np.full(3, np.inf), -np.inf, np.inf)
+    values = np.array([[0.1, 0.1], [0.0, 0.2], [0.05, 0.05], [0.0, 0.0]])
+    percent = np.empty_like(values)
+    fill_in(model, packed, limits, values, percent, np.ones(2), wanted=True)
+    assert np.isposinf(values[3, 0])
+    assert np.isposinf(percent[3, 0])
+    assert np.isnan(percent[1, 0])  # k2 is on its bound
+    assert np.isfinite(percent[:, 1]).all()

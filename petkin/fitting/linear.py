@@ -24,6 +24,7 @@ weights).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +152,7 @@ class LinearSolver:
             spread,
         )
 
-    @property
+    @cached_property
     def in_common(self) -> bool:
         """Whether no column is a curve's own and the curve itself is the response."""
         return len(self.operators) == 1 and bool((np.diff(self.spans[0]) == 1).all())
@@ -166,8 +167,8 @@ class LinearSolver:
         """Values, percent errors, chi-square and status where all columns are in common: see `regress_curves`."""
         used = self.spans[0, :, 0]
         factor = self.operators[0, np.arange(len(used)), used] * self.scale
-        each, freedom = self._unit()
-        tissue, unit = (self.offset[used], factor, used), (np.ascontiguousarray(np.diag(each)), freedom)
+        each, freedom = self._unit
+        tissue, unit = (self.offset[used], factor, used), (np.sqrt(np.diag(each)), freedom)
         regress_curves(frames, start, tissue, self.axes, self.inverse, unit, outcome, answer)
 
     def solve(self, frames: NDArray[np.floating], rows: slice) -> LinearSolutions:
@@ -191,11 +192,12 @@ class LinearSolver:
             (theta, covariance, wrss, freedom, total, finite),
         )
         if same:
-            each, all_freedom = self._unit()
+            each, all_freedom = self._unit
             covariance = np.broadcast_to(each[:, :, None], (*each.shape, n))
             freedom = np.broadcast_to(all_freedom, n)
         return LinearSolutions(theta, covariance, wrss, freedom, total, finite)
 
+    @cached_property
     def _unit(self) -> tuple[Array, float]:
         """Covariance (S, S) and freedom of curves whose columns are all shared."""
         _, _, along, traces = self.spread

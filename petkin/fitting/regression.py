@@ -153,8 +153,8 @@ class _Answer:
 
     def fill(self, rows: slice, solved: LinearSolutions, regression: Regression) -> None:
         """Estimates, errors and status of some curves; what must not be used is NaN."""
-        values, variances = _read(solved, regression)
-        found = values, variances, solved.wrss, solved.freedom, solved.total, solved.finite
+        values, deviations = _read(solved, regression)
+        found = values, deviations, solved.wrss, solved.freedom, solved.total, solved.finite
         conclude(found, regression.outcome, float(self.used - self.unknowns), *self.of_some(rows))
 
     def compare(self, rows: slice) -> None:
@@ -164,13 +164,13 @@ class _Answer:
 
 
 def _read(solved: LinearSolutions, regression: Regression) -> tuple[Array, Array]:
-    """Values (M, n) of the quantities and the variances of them (M, n) at unit weight."""
+    """Values (M, n) of the quantities and their standard deviations (M, n) at unit noise."""
     if regression.read is None:
-        return solved.theta, np.stack([solved.covariance[i, i] for i in range(len(solved.theta))])
+        return solved.theta, np.sqrt(np.stack([solved.covariance[i, i] for i in range(len(solved.theta))]))
     values, slopes = regression.read(solved.theta)
     variances = np.empty_like(values)
     delta_variances(slopes, np.ascontiguousarray(solved.covariance), variances)
-    return values, variances
+    return values, np.sqrt(variances)
 
 
 def _predict(frames: NDArray[np.floating], design: LinearDesign, solver: LinearSolver, answer: _Answer) -> Array:

@@ -15,7 +15,7 @@ from petkin.fitting.verdict import conclude
 Array = NDArray[np.float64]
 
 #: Curves in step. As in `lanes`, no loop that rounds has a remainder that might round another way.
-_LANES = 256
+_LANES = 512
 _STRICT = {"contract", "nsz"}
 #: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
 _LARGEST = 1e30
@@ -39,21 +39,21 @@ def regress_curves(
         tissue: what is taken off every used frame and what the rest is multiplied by (U,), which they are (U,).
         axes: orthonormal (S, U).
         inverse: what makes unknowns from components along the axes (S, S).
-        unit: variances of the unknowns (S,) and sum of squared residuals at unit noise.
+        unit: standard deviations of the unknowns (S,) and sum of squared residuals at unit noise.
         outcome: which unknown the method is used for.
         answer: room for values and percent errors (M, n), chi-square, status (n,); quantities are the first M unknowns.
     """
     shared, used = axes.shape
     y, parts, theta = (np.zeros((rows, _LANES)) for rows in (used, shared, shared))
-    variances, freedom = np.repeat(unit[0][:, None], _LANES, axis=1), np.full(_LANES, unit[1])
+    deviations, freedom = np.repeat(unit[0][:, None], _LANES, axis=1), np.full(_LANES, unit[1])
     wrss, total, plain = np.zeros((3, _LANES))
-    room = y, parts, theta, variances, wrss, freedom, total, plain, np.empty(_LANES, np.bool_)
+    room = y, parts, theta, deviations, wrss, freedom, total, plain, np.empty(_LANES, np.bool_)
     _regress(frames, start, tissue, axes, inverse, outcome, room, answer)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _regress(frames, start, tissue, axes, inverse, outcome, room, answer):
-    y, parts, theta, variances, wrss, freedom, total, plain, finite = room
+    y, parts, theta, deviations, wrss, freedom, total, plain, finite = room
     values, percent, chi2, status = answer
     offset, factor, used = tissue
     degrees = float(axes.shape[1] - axes.shape[0])
@@ -70,7 +70,7 @@ def _regress(frames, start, tissue, axes, inverse, outcome, room, answer):
         _measure(axes, parts, y, wrss)
         for i in range(len(axes)):
             _combine(inverse[i], parts, theta[i])
-        found = theta, variances, wrss, freedom, total, finite
+        found = theta, deviations, wrss, freedom, total, finite
         conclude(found, outcome, degrees, values[:, here], percent[:, here], chi2[here], status[here])
 
 
@@ -123,14 +123,25 @@ def _combine(weights, rows, out):
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
 def _measure(axes, parts, y, wrss):
-    """Sum of squares of what is left of y without its parts along the axes."""
+    """Sum of squares of what is left of y without its parts along the axes, two axes at a time."""
     for n in range(_LANES):
         wrss[n] = 0.0
+    odd = len(axes) % 2
     for u in range(len(y)):
         left = y[u]
-        for s in range(len(axes)):
-            along, part = axes[s, u], parts[s]
+        if odd:
+            along, part = axes[0, u], parts[0]
             for n in range(len(left)):
                 left[n] -= along * part[n]
-        for n in range(len(left)):
-            wrss[n] += left[n] * left[n]
+        for s in range(odd, len(axes) - 2, 2):
+            a, b, one, two = axes[s, u], axes[s + 1, u], parts[s], parts[s + 1]
+            for n in range(len(left)):
+                left[n] -= a * one[n] + b * two[n]
+        if len(axes) > odd:
+            a, b, one, two = axes[-2, u], axes[-1, u], parts[-2], parts[-1]
+            for n in range(len(left)):
+                rest = left[n] - (a * one[n] + b * two[n])
+                wrss[n] += rest * rest
+        else:
+            for n in range(len(left)):
+                wrss[n] += left[n] * left[n]

@@ -143,4 +143,7 @@ def akaike(cost: Array, frames: int, p: int) -> Array:
     """n ln(WRSS / n) + 2 p + 2 p (p + 1) / (n - p - 1), p counting the variance; NaN where there are too few frames."""
     with np.errstate(all="ignore"):
         small_sample = 2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan
-        return frames * np.log(cost / frames) + 2 * p + small_sample
+        answer = np.log(cost / frames)
+        answer *= frames
+        answer += 2 * p + small_sample
+        return answer

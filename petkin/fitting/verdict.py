@@ -32,29 +32,30 @@ def conclude(found, outcome, degrees, values, percent, chi2, status):
     """Fill in the answers of some curves; what must not be used is NaN.
 
     Args:
-        found: values (., n) and their variances at unit noise (., n), of which the first M are the quantities; weighted
-            residual sum of squares (n,), what it is at unit noise on average (n,), sum of the values of a curve (n,),
-            whether they are numbers (n,).
+        found: values (., n) and their standard deviations at unit noise (., n), the quantities first; weighted residual
+            sum of squares (n,), which is overwritten, what it is at unit noise on average (n,), sum of the values of a
+            curve (n,), whether they are numbers (n,).
         outcome: the quantity that the method is used for.
         degrees: frames less unknowns.
         values, percent, chi2, status: room for the answers (M, n) twice, (n,) twice.
     """
-    estimates, variances, wrss, freedom, total, finite = found
+    estimates, deviations, wrss, freedom, total, finite = found
     chosen = estimates[outcome]
     # Short loops over few arrays: with more the compiler gives up showing that they do not overlap.
     for n in range(len(status)):
         chi2[n] = wrss[n] / degrees if (total[n] > 0.0) & (abs(chosen[n]) < np.inf) else np.nan
     for n in range(len(status)):
         chi2[n] = chi2[n] if finite[n] else np.nan
+    noise = wrss
+    for n in range(len(status)):
+        noise[n] = 100.0 * np.sqrt(wrss[n] / freedom[n])
     for m in range(len(values)):
         estimate, value = estimates[m], values[m]
         for n in range(len(value)):
             value[n] = estimate[n] if chi2[n] == chi2[n] else np.nan
-        variance, error = variances[m], percent[m]
+        deviation, error = deviations[m], percent[m]
         for n in range(len(error)):
-            error[n] = np.sqrt(variance[n] * (wrss[n] / freedom[n]))
-        for n in range(len(error)):
-            error[n] = 100.0 * error[n] / abs(value[n])
+            error[n] = deviation[n] * noise[n] / abs(value[n])
     told = percent[outcome]
     for n in range(len(status)):
         status[n] = _OK if told[n] <= 100.0 else _UNSURE

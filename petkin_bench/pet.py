@@ -189,11 +189,13 @@ def _learned(
 def _parameter_errors(
     physics: torch.Tensor, truth: Dataset, symbols: tuple[str, ...], population: Population
 ) -> dict[str, float]:
-    """Mean squared error of c_p where it means what it means in the truth."""
+    """Mean squared error of c_p where all of it is there to be found, and median percent error of each number."""
     places = [population.model.parameters.symbols.index(symbol) for symbol in symbols]
+    true = truth.truth[:, None, places]
+    off = {f"off_{s}": 100.0 * float(o.abs().median()) for s, o in zip(symbols, (physics / true - 1.0).unbind(-1))}
     if len(places) < population.model.rates:
-        return {}
-    return {"mse_cp": float(((physics - truth.truth[:, None, places]) ** 2).mean())}
+        return off
+    return {"mse_cp": float(((physics - true) ** 2).mean()), **off}
 
 
 def _fitted(job: PetJob, preset: PetPreset) -> list[dict[str, object]]:

@@ -18,7 +18,7 @@ def test_the_table_is_run_once_and_compared(tmp_path):
     assert done.exit_code == 0, done.output
     rows = pd.read_csv(tmp_path / "learning_pet.csv", keep_default_na=False)
     assert set(rows["model"]) == {row[0] for row in MODELS}
-    assert set(rows["sees"]) == {"", "C_T", "C_T,C_P", "hidden"}
+    assert set(rows["sees"]) == {row[1] for row in MODELS}
     assert {"mse_x", "mse_z", "psnr_x", "mse_cp", "cpu_s", "commit", "settings"} <= set(rows)
     found = compare_pet(tmp_path, "tiny").set_index(["model", "sees", "noise_train", "noise_test", "split", "test"])
     exact = found.loc[("fit_2TCM", "", 0, 0, "unseen", "others")]

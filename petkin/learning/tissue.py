@@ -81,13 +81,13 @@ class Held(Residual):
         return torch.cat([(parameters[..., 1] * state[..., 1]).expand_as(held[0])[None], held])
 
 
-#: Forms of f_NN: of the tissue, as published; nought where there is no tracer: of tissue and plasma, with a compartment
-#: that holds tracer back, with one of which nothing is known.
+#: Forms of f_NN: of the tissue, as published; of tissue and plasma, and with a compartment that holds tracer back, both
+#: nought where there is no tracer; with a compartment of which nothing is known.
 RESIDUALS = {
     "C_T": Residual(_tissue, 1, 1, into_rows(0), BOUND, depth=_DEPTH),
     "C_T,C_P": Residual(_tissue_and_plasma, 2, 1, into_rows(0), BOUND, depth=_DEPTH, rests=True),
     "held": Held(_free_and_held, 2, 2, into_rows(0, 1), BOUND, depth=_DEPTH, rests=True),
-    "hidden": Residual(_tissue_and_hidden, 2, 2, into_rows(0, 1), BOUND, depth=_DEPTH, rests=True),
+    "hidden": Residual(_tissue_and_hidden, 2, 2, into_rows(0, 1), BOUND, depth=_DEPTH),
 }
 
 

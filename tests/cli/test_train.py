@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,8 +62,14 @@ def test_what_was_learned_fits_a_study(study: Path, petkin_command: Callable[...
         "train", path, "--subjects", 2, "--frames", "2x30,1x60,1x180,8x300", "--isotope", "C11", "--steps", 5
     )
     assert (ran.status, ran.err) == (0, "")
-    nothing = petkin_command("train", tmp_path / "b.safetensors", "--from", study)
+    real = petkin_command("train", tmp_path / "b.safetensors", "--from", study, "--steps", 5)
+    assert (real.status, real.err) == (0, ""), "curves come from the image and its regions"
+    bare = Path(shutil.copytree(study, tmp_path / "bare"))
+    for labels in bare.rglob("*_dseg.*"):
+        labels.unlink()
+    nothing = petkin_command("train", tmp_path / "c.safetensors", "--from", bare)
     assert nothing.status == 2
+    assert "there is neither a segmentation nor curves" in nothing.err
     assert nothing.err.count("\n") == 1
     ran = petkin_command("fit", study, "--model", "hybrid", "--checkpoint", path, "--level", "region", "--out", out)
     assert ran.status == 0, ran.err

@@ -15,7 +15,9 @@ def train(
     study: Annotated[
         list[Path] | None,
         typer.Option(
-            "--from", help="PET-BIDS study with regional curves and blood; repeatable.", rich_help_panel=_FROM
+            "--from",
+            help="PET-BIDS study with blood, and curves or an image with regions; repeatable.",
+            rich_help_panel=_FROM,
         ),
     ] = None,
     seg: Annotated[

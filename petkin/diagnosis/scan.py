@@ -108,7 +108,7 @@ class Scan:
     def excess(self, each: Array, name: str) -> float:
         """What choosing the best setting of a hypothesis gains over an average one."""
         values = np.array([e for t, e in zip(self.templates, each) if t.hypothesis.name == name])
-        return float(values.max() - (float(evidence.mean(values))))
+        return float(values.max() - evidence.mean(values))
 
     def by_hypothesis(self, each: Array) -> dict[str, Array]:
         """Evidence averaged over the settings of every hypothesis."""

@@ -219,7 +219,6 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
         InputError: no curves, no blood, too few frames, or values that are not finite.
     """
     curves = regional_curves(source)
-    assert curves is not None
     if source.blood is None:
         raise InputError(f"{source.label}: there is no blood (_blood.tsv); the simulator needs an arterial input.")
     _check(curves, source.label)

@@ -123,11 +123,15 @@ def choose_mask(
     return chosen, how
 
 
-def regional_curves(source: Source) -> RegionalCurves | None:
-    """A scan's table of curves, or the means over its segmentation; None where it has neither."""
-    if source.curves is not None or source.image is None or source.dseg is None:
+def regional_curves(source: Source) -> RegionalCurves:
+    """A scan's table of curves, or the means over its segmentation; what is fitted by region has one of them."""
+    if source.curves is not None:
         return source.curves
-    return extract(source.image, source.frames, read_regions(source.dseg, source.image))
+    assert source.image is not None
+    assert source.dseg is not None
+    curves = extract(source.image, source.frames, read_regions(source.dseg, source.image))
+    assert curves is not None
+    return curves
 
 
 def extract(

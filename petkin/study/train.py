@@ -110,11 +110,7 @@ def _real(request: TrainRequest) -> tuple[Conditions, Curves, float, dict[str, A
     found: list[tuple[Source, Measured]] = []
     for folder in request.studies:
         fit = FitRequest(folder, level="region", seg=request.seg, models=("1TCM",))
-        read = [(source, regional_curves(source)) for source in read_sources(fit)[2]]
-        found += [(source, _measured(source, curves, fit)) for source, curves in read if curves is not None]
-    if not found:
-        named = ", ".join(map(str, request.studies))
-        raise InputError(f"{named}: no scan has regional curves, or an image with regions, to learn from.")
+        found += [(source, _measured(source, regional_curves(source), fit)) for source in read_sources(fit)[2]]
     decays = sorted({source.decay for source, _ in found})
     if decays[-1] > 1.01 * decays[0]:
         raise InputError("The scans are of several radionuclides; learn each tracer for itself.")

@@ -35,12 +35,18 @@ def run(
 
     import torch
 
+    from petkin.errors import InputError, NumericalError
+    from petkin.fitting import find_device
+
     if table == "pet":
+        if device:
+            raise InputError(f"--device {device}: the pet table is trained on the processor; leave --device out.")
         _run_pet(preset, seeds, dynamics, work, results)
         return
+    if device:
+        find_device(device)
 
     from petkin.cli.progress import progress_bar
-    from petkin.errors import NumericalError
     from petkin.hybrid import device as own_device
     from petkin.hybrid import place, processes
     from petkin_bench.protocol import find_preset, jobs

@@ -9,6 +9,7 @@ import torch
 
 from petkin.hybrid import Dataset, Settings, device, train
 from petkin.hybrid.train import loss_of
+from petkin_bench.cli import main
 from petkin_bench.protocol import build, find_preset
 from petkin_bench.systems import SYSTEMS, draw, find_system
 
@@ -43,3 +44,19 @@ def test_training_on_a_named_device_is_training():
     )
     assert here.losses == there.losses
     assert device() == "cpu" or torch.cuda.is_available()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--device", "nonsense"], "torch sees no such device here"),
+        (["--table", "pet", "--device", "cpu"], "trained on the processor"),
+    ],
+)
+def test_a_device_that_cannot_be_used_is_one_line(options, said, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["petkin-bench", "run", "--preset", "tiny", *options])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr().err
+    assert (ended.value.code, told.count("\n")) == (2, 1)
+    assert said in told

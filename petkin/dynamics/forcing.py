@@ -4,7 +4,8 @@ A `Forcing` knows its knots (times where it is not smooth), its integral, and it
 
     y(t) = int_0^t e^{-a (t - s)} u(s) ds,
 
-which is all that an exact solution of a linear compartment system needs. Everything is batched and differentiable.
+which is all that an exact solution of a linear compartment system needs. Everything is batched, and computed with
+what is at hand: arrays give arrays; where forcing, times or rates are tensors the answer is one, and differentiable.
 """
 
 from __future__ import annotations
@@ -12,15 +13,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-import torch
+import numpy as np
 from jaxtyping import Float
-from torch import Tensor
+from numpy.typing import NDArray
 
+from petkin.dynamics.arrays import alike, library
 from petkin.dynamics.exponential import exp_divided_difference
 from petkin.dynamics.recurrence import linear_recurrence
 from petkin.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    Array = NDArray[np.float64] | Tensor
 
 
 @runtime_checkable
@@ -31,26 +38,24 @@ class Forcing(Protocol):
     """
 
     @property
-    def knots(self) -> Float[Tensor, " knots"]:
-        """Times at which u or a derivative of it jumps, ascending."""
+    def knots(self) -> Any:
+        """Times at which u or a derivative of it jumps, ascending (knots,)."""
         ...
 
-    def __call__(self, t: Float[Tensor, " times"]) -> Float[Tensor, "*b times"]:
-        """u(t)."""
+    def __call__(self, t: Float[Array, " times"]) -> Any:
+        """u(t), (*b, times)."""
         ...
 
-    def integral(self, t: Float[Tensor, " times"], decay: float = 0.0) -> Float[Tensor, "*b times"]:
-        """int_0^t e^{-decay s} u(s) ds."""
+    def integral(self, t: Float[Array, " times"], decay: float = 0.0) -> Any:
+        """int_0^t e^{-decay s} u(s) ds, (*b, times)."""
         ...
 
-    def response(self, rates: Float[Tensor, "*r"], t: Float[Tensor, " times"]) -> Float[Tensor, "*rb times"]:
-        """y(t) = int_0^t e^{-a (t - s)} u(s) ds for every rate a >= 0."""
+    def response(self, rates: Float[Array, "*r"], t: Float[Array, " times"]) -> Any:
+        """y(t) = int_0^t e^{-a (t - s)} u(s) ds for every rate a >= 0, (*rb, times)."""
         ...
 
-    def response_integral(
-        self, rates: Float[Tensor, "*r"], t: Float[Tensor, " times"], decay: float = 0.0
-    ) -> Float[Tensor, "*rb times"]:
-        """int_0^t e^{-decay s} y(s) ds for every rate."""
+    def response_integral(self, rates: Float[Array, "*r"], t: Float[Array, " times"], decay: float = 0.0) -> Any:
+        """int_0^t e^{-decay s} y(s) ds for every rate, (*rb, times)."""
         ...
 
 
@@ -63,82 +68,99 @@ class PiecewiseLinear:
         values: u at the knots, last axis along the knots.
     """
 
-    times: Float[Tensor, " knots"]
-    values: Float[Tensor, "*b knots"]
+    times: Float[Array, " knots"]
+    values: Float[Array, "*b knots"]
 
     def __post_init__(self) -> None:
-        if self.times.ndim != 1 or self.times.numel() == 0 or self.values.shape[-1] != self.times.numel():
+        if self.times.ndim != 1 or len(self.times) == 0 or self.values.shape[-1] != len(self.times):
             raise InputError(
                 f"A piecewise-linear forcing needs as many values as knots; got {tuple(self.values.shape)} values "
                 f"for {tuple(self.times.shape)} knots."
             )
-        if bool((torch.diff(self.times) < 0).any()):
+        if bool((self.times[1:] < self.times[:-1]).any()):
             raise InputError("The knots of a piecewise-linear forcing must ascend; sort them first.")
 
     @property
-    def knots(self) -> Tensor:
+    def knots(self) -> Any:
         return self.times
 
-    def __call__(self, t: Tensor) -> Tensor:
-        piece = self._piece(t)
-        return (self.values[..., piece.index] + self._slopes[..., piece.index] * piece.elapsed) * piece.started
+    @property
+    def tensors(self) -> PiecewiseLinear:
+        """The same lines, as tensors."""
+        import torch
 
-    def integral(self, t: Tensor, decay: float = 0.0) -> Tensor:
-        whole = self._integrals(self._steps, slice(None, -1), decay) * torch.exp(-decay * self.times[:-1])
-        piece = self._piece(t)
-        partial = self._integrals(piece.elapsed, piece.index, decay) * torch.exp(-decay * self.times[piece.index])
+        return PiecewiseLinear(torch.as_tensor(self.times), torch.as_tensor(self.values))
+
+    def __call__(self, t: Array) -> Any:
+        lines, t = self._beside(t)
+        piece = lines._piece(t)
+        return (lines.values[..., piece.index] + lines._slopes[..., piece.index] * piece.elapsed) * piece.started
+
+    def integral(self, t: Array, decay: float = 0.0) -> Any:
+        lines, t = self._beside(t)
+        piece, weight = lines._piece(t), lines._xp.exp(-decay * lines.times)
+        whole = lines._integrals(lines._steps, slice(None, -1), decay) * weight[:-1]
+        partial = lines._integrals(piece.elapsed, piece.index, decay) * weight[piece.index]
         return (_running(whole)[..., piece.index] + partial) * piece.started
 
-    def response(self, rates: Tensor, t: Tensor) -> Tensor:
-        a = torch.as_tensor(rates)[..., None]
-        piece = self._piece(t)
-        carried = self._at_knots(a)[..., piece.index] * torch.exp(-a * piece.elapsed)
-        return (carried + self._fresh(a, piece.elapsed, piece.index)) * piece.started
+    def response(self, rates: Array, t: Array) -> Any:
+        lines, a, t = self._beside(rates, t)
+        a, piece = a[..., None], lines._piece(t)
+        carried = lines._at_knots(a)[..., piece.index] * lines._xp.exp(-a * piece.elapsed)
+        return (carried + lines._fresh(a, piece.elapsed, piece.index)) * piece.started
 
-    def response_integral(self, rates: Tensor, t: Tensor, decay: float = 0.0) -> Tensor:
-        a = torch.as_tensor(rates)[..., None]
-        knots = self._at_knots(a)
-        whole = self._response_integrals(a, knots[..., :-1], self._steps, slice(None, -1), decay)
-        running = _running(whole * torch.exp(-decay * self.times[:-1]))
-        piece = self._piece(t)
-        partial = self._response_integrals(a, knots[..., piece.index], piece.elapsed, piece.index, decay)
-        return (running[..., piece.index] + partial * torch.exp(-decay * self.times[piece.index])) * piece.started
+    def response_integral(self, rates: Array, t: Array, decay: float = 0.0) -> Any:
+        lines, a, t = self._beside(rates, t)
+        a, piece, weight = a[..., None], lines._piece(t), lines._xp.exp(-decay * lines.times)
+        knots = lines._at_knots(a)
+        whole = lines._response_integrals(a, knots[..., :-1], lines._steps, slice(None, -1), decay) * weight[:-1]
+        partial = lines._response_integrals(a, knots[..., piece.index], piece.elapsed, piece.index, decay)
+        return (_running(whole)[..., piece.index] + partial * weight[piece.index]) * piece.started
+
+    def _beside(self, *numbers: Any) -> tuple[Any, ...]:
+        """The same lines and some numbers, all of them arrays or all of them tensors."""
+        times, values, *others = alike(self.times, self.values, *numbers)
+        same = times is self.times and values is self.values
+        return self if same else PiecewiseLinear(times, values), *others
 
     @property
-    def _steps(self) -> Tensor:
-        return torch.diff(self.times)
+    def _xp(self) -> Any:
+        return library(self.times)
 
     @property
-    def _slopes(self) -> Tensor:
-        steps = self._steps
-        slopes = torch.diff(self.values, dim=-1) / torch.where(steps > 0, steps, torch.ones_like(steps))
-        return torch.cat([slopes * (steps > 0), torch.zeros_like(self.values[..., :1])], dim=-1)
+    def _steps(self) -> Any:
+        return self._xp.diff(self.times)
 
-    def _piece(self, t: Tensor) -> _Piece:
-        index = torch.searchsorted(self.times, t.detach().contiguous(), right=True) - 1
-        started = (index >= 0).to(t.dtype)
-        index = index.clamp(min=0)
+    @property
+    def _slopes(self) -> Any:
+        steps, xp = self._steps, self._xp
+        slopes = xp.diff(self.values) / xp.where(steps > 0, steps, xp.ones_like(steps))
+        return xp.concatenate([slopes * (steps > 0), xp.zeros_like(self.values[..., :1])], -1)
+
+    def _piece(self, t: Any) -> _Piece:
+        read = t if self._xp is np else t.detach().contiguous()
+        index = self._xp.searchsorted(self.times, read, side="right") - 1
+        started = index >= 0
+        index = index.clip(min=0)
         return _Piece(index=index, elapsed=(t - self.times[index]) * started, started=started)
 
-    def _integrals(self, elapsed: Tensor, at: Tensor | slice, decay: float) -> Tensor:
+    def _integrals(self, elapsed: Any, at: Any, decay: float) -> Any:
         level, slope = self.values[..., at], self._slopes[..., at]
         constant = exp_divided_difference((0.0, -decay), elapsed)
         ramp = exp_divided_difference((0.0, -decay, -decay), elapsed)
         return level * constant + slope * ramp
 
-    def _fresh(self, a: Tensor, elapsed: Tensor, at: Tensor | slice) -> Tensor:
+    def _fresh(self, a: Any, elapsed: Any, at: Any) -> Any:
         """Response at the end of a piece to the input inside that piece alone."""
         level, slope = self.values[..., at], self._slopes[..., at]
         constant = exp_divided_difference((0.0, -a), elapsed)
         return level * constant + slope * exp_divided_difference((0.0, 0.0, -a), elapsed)
 
-    def _at_knots(self, a: Tensor) -> Tensor:
+    def _at_knots(self, a: Any) -> Any:
         """y at every knot, y_{i+1} = e^{-a d_i} y_i + fresh_i (stable: all factors are <= 1)."""
-        return linear_recurrence(torch.exp(-a * self._steps), self._fresh(a, self._steps, slice(None, -1)))
+        return linear_recurrence(self._xp.exp(-a * self._steps), self._fresh(a, self._steps, slice(None, -1)))
 
-    def _response_integrals(
-        self, a: Tensor, start: Tensor, elapsed: Tensor, at: Tensor | slice, decay: float
-    ) -> Tensor:
+    def _response_integrals(self, a: Any, start: Any, elapsed: Any, at: Any, decay: float) -> Any:
         """int_0^elapsed e^{-decay s} y(s) ds inside pieces that begin at y = start."""
         level, slope = self.values[..., at], self._slopes[..., at]
         sunk = -(a + decay)
@@ -151,18 +173,21 @@ class PiecewiseLinear:
 
 @dataclass(frozen=True)
 class _Piece:
-    index: Tensor
-    elapsed: Tensor
-    started: Tensor
+    index: Any
+    elapsed: Any
+    started: Any
 
 
-def _running(pieces: Tensor) -> Tensor:
-    return torch.cat([pieces.new_zeros(*pieces.shape[:-1], 1), torch.cumsum(pieces, dim=-1)], dim=-1)
+def _running(pieces: Any) -> Any:
+    xp = library(pieces)
+    return xp.concatenate([xp.zeros_like(pieces.sum(-1)[..., None]), xp.cumsum(pieces, -1)], -1)
 
 
 @dataclass(frozen=True)
 class ExponentialSum:
     """u(t) = sum_j c_j s^{n_j} e^{l_j s} with s = t - onset >= 0, and zero before.
+
+    Formulas are for simulation, where derivatives are wanted: they hold tensors, and answer with them.
 
     Args:
         coefficients: c_j, last axis over the terms.
@@ -187,24 +212,28 @@ class ExponentialSum:
     def knots(self) -> Tensor:
         return self.coefficients.new_tensor([self.onset])
 
-    def __call__(self, t: Tensor) -> Tensor:
+    def __call__(self, t: Array) -> Tensor:
         elapsed, started = self._clock(t)
-        return sum(c * elapsed**n * torch.exp(e * elapsed) for c, e, n in self._terms()) * started  # type: ignore[return-value]
+        return sum(c * elapsed**n * (e * elapsed).exp() for c, e, n in self._terms()) * started  # type: ignore[return-value]
 
-    def integral(self, t: Tensor, decay: float = 0.0) -> Tensor:
+    def integral(self, t: Array, decay: float = 0.0) -> Tensor:
         elapsed, started = self._clock(t)
         return math.exp(-decay * self.onset) * started * self._chain(elapsed, (0.0,), decay)
 
-    def response(self, rates: Tensor, t: Tensor) -> Tensor:
+    def response(self, rates: Array, t: Array) -> Tensor:
         elapsed, started = self._clock(t)
-        return started * self._chain(elapsed, (-torch.as_tensor(rates)[..., None],), 0.0)
+        return started * self._chain(elapsed, (-self._tensor(rates)[..., None],), 0.0)
 
-    def response_integral(self, rates: Tensor, t: Tensor, decay: float = 0.0) -> Tensor:
+    def response_integral(self, rates: Array, t: Array, decay: float = 0.0) -> Tensor:
         elapsed, started = self._clock(t)
-        sunk = -(torch.as_tensor(rates)[..., None] + decay)
+        sunk = -(self._tensor(rates)[..., None] + decay)
         return math.exp(-decay * self.onset) * started * self._chain(elapsed, (0.0, sunk), decay)
 
-    def _clock(self, t: Tensor) -> tuple[Tensor, Tensor]:
+    def _tensor(self, numbers: Array) -> Tensor:
+        return alike(numbers, self.coefficients)[0]
+
+    def _clock(self, t: Array) -> tuple[Tensor, Tensor]:
+        t = self._tensor(t)
         return (t - self.onset).clamp(min=0.0), (t >= self.onset).to(t.dtype)
 
     def _terms(self) -> list[tuple[Tensor, Tensor, int]]:
@@ -228,32 +257,37 @@ class Shifted:
     """
 
     forcing: Forcing
-    delay: float | Float[Tensor, " delays"]
+    delay: float | Float[Array, " delays"]
 
     @property
-    def knots(self) -> Tensor:
-        knots = self.forcing.knots
-        return torch.sort((knots + self._column(knots)).flatten()).values
+    def knots(self) -> Any:
+        knots, delay = self._beside(self.forcing.knots)
+        moved = (knots + delay).reshape(-1)
+        return moved[moved.argsort()]
 
-    def __call__(self, t: Tensor) -> Tensor:
+    def __call__(self, t: Array) -> Any:
         return self._spread(self.forcing, t)
 
-    def integral(self, t: Tensor, decay: float = 0.0) -> Tensor:
+    def integral(self, t: Array, decay: float = 0.0) -> Any:
         return self._sunk(t, decay) * self._spread(lambda s: self.forcing.integral(s, decay), t)
 
-    def response(self, rates: Tensor, t: Tensor) -> Tensor:
+    def response(self, rates: Array, t: Array) -> Any:
         return self._spread(lambda s: self.forcing.response(rates, s), t)
 
-    def response_integral(self, rates: Tensor, t: Tensor, decay: float = 0.0) -> Tensor:
+    def response_integral(self, rates: Array, t: Array, decay: float = 0.0) -> Any:
         return self._sunk(t, decay) * self._spread(lambda s: self.forcing.response_integral(rates, s, decay), t)
 
-    def _column(self, like: Tensor) -> Tensor:
-        return torch.as_tensor(self.delay, dtype=like.dtype, device=like.device)[..., None]
+    def _beside(self, t: Array) -> tuple[Any, Any]:
+        """Times, and the delay or a column of delays, both arrays or both tensors."""
+        t, delay = alike(t, self.delay)
+        return t, delay[..., None]
 
-    def _sunk(self, t: Tensor, decay: float) -> Tensor:
-        return torch.exp(-decay * self._column(t))
+    def _sunk(self, t: Array, decay: float) -> Any:
+        t, delay = self._beside(t)
+        return library(t).exp(-decay * delay)
 
-    def _spread(self, read: Callable[[Tensor], Tensor], t: Tensor) -> Tensor:
-        shifted = t - self._column(t)
-        values = read(shifted.flatten())
+    def _spread(self, read: Callable[[Any], Any], t: Array) -> Any:
+        t, delay = self._beside(t)
+        shifted = t - delay
+        values = read(shifted.reshape(-1))
         return values.reshape(*values.shape[:-1], *shifted.shape)

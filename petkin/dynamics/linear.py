@@ -120,7 +120,7 @@ class _Tail:
 def _march(matrix: Tensor, drive: Tensor, forcing: Forcing, times: Tensor, initial: Tensor | None) -> _March:
     _check_shapes(matrix, drive, initial)
     own = times.detach().to(matrix.device, torch.float64)
-    knots = forcing.knots.detach().to(matrix.device, torch.float64)
+    knots = torch.as_tensor(forcing.knots).detach().to(matrix.device, torch.float64)
     start = 0.0 if initial is not None else min(0.0, float(knots[0]))
     if bool((own < start).any()):
         raise InputError(f"A solution is asked for at t = {float(own.min()):g}, before its start at t = {start:g}.")
@@ -175,7 +175,7 @@ def _propagated(generator: Tensor, tail: _Tail, state: Tensor, steps: Tensor) ->
 
 def _straight_lines(forcing: Forcing, nodes: Tensor) -> _Tail:
     """w = (u, u'), read well inside the pieces: at their ends a doubled knot has two values."""
-    at = forcing.knots.dtype
+    at = torch.as_tensor(forcing.knots).dtype
     steps = torch.diff(nodes)
     early, late = (forcing((nodes[:-1] + part * steps).to(at)) for part in (0.25, 0.75))
     half = late - early

@@ -20,13 +20,13 @@ Array = NDArray[np.float64]
 
 
 def _times(clock: FrameObservation, factor: Array | float) -> FrameObservation:
-    return replace(clock, gain=clock.gain_or_one.numpy() * factor)
+    return replace(clock, gain=clock.gain_or_one * factor)
 
 
 def grown(clock: FrameObservation, rate: float) -> Array:
     """Decay-weighted mean of e^{rate t} over every frame (K,): what a wrong correction leaves of a constant."""
-    area = FrameObservation(clock.frames, clock.decay).mean_decay_times_duration.numpy()
-    return FrameObservation(clock.frames, clock.decay - rate).mean_decay_times_duration.numpy() / area
+    area = FrameObservation(clock.frames, clock.decay).mean_decay_times_duration
+    return FrameObservation(clock.frames, clock.decay - rate).mean_decay_times_duration / area
 
 
 def _shifted(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:

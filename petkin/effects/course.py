@@ -70,7 +70,7 @@ class Course:
 def _steps(edges: Array, onset: float, plasma: Forcing) -> Array:
     """2 s while the input is sharp, a minute at the end, and never across an edge or the onset."""
     end = edges[-1]
-    knots = plasma.knots.numpy()
+    knots = np.asarray(plasma.knots)
     arrival = max(float(knots[0]), 0.0)
     fine = [np.arange(0.0, min(arrival + 5.0, end), 1 / 30), np.arange(min(arrival + 5.0, end), end, 0.5)]
     times = np.concatenate([*fine, edges, [min(max(onset, 0.0), end)]])
@@ -122,4 +122,4 @@ def _framed(times: Array, curves: Array, clock: FrameObservation) -> Array:
     start, end = (
         np.searchsorted(times, np.round(np.maximum(e, 0.0), 9)) for e in (clock.frames.start, clock.frames.end)
     )
-    return (area[:, end] - area[:, start]) / clock.divisor.numpy()
+    return (area[:, end] - area[:, start]) / clock.divisor

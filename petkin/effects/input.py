@@ -56,8 +56,8 @@ def _smeared(forcing: Forcing, tau: float, end: float) -> Forcing:
         sums = forcing.exponents + 1.0 / tau
         if bool((sums.abs() > _NEAREST_RATE / tau).all()):
             return _smeared_sum(forcing, tau)
-    if isinstance(forcing, PiecewiseLinear) and forcing.knots.numel() >= _DENSE:
-        return PiecewiseLinear(forcing.times, forcing.response(torch.tensor(1.0 / tau), forcing.times) / tau)
+    if isinstance(forcing, PiecewiseLinear) and len(forcing.knots) >= _DENSE:
+        return PiecewiseLinear(forcing.times, forcing.response(1.0 / tau, forcing.times) / tau)
     return dispersed(forcing, tau, end=end, tolerance=_TOLERANCE)
 
 
@@ -69,10 +69,10 @@ def _sharpened(curve: PiecewiseLinear, tau: float) -> PiecewiseLinear:
 def straight(forcing: Forcing, end: float) -> PiecewiseLinear:
     """A curve in straight pieces up to `end`: itself where it is, else close to it."""
     if isinstance(forcing, PiecewiseLinear):
-        return forcing
-    knots = forcing.knots.detach().numpy()
+        return forcing.tensors
+    knots = np.asarray(forcing.knots)
     first = np.concatenate([knots[knots < end], np.linspace(float(knots[0]), end, 64)])
-    return piecewise_linear(lambda t: forcing(torch.as_tensor(t)).numpy(), first, tolerance=_TOLERANCE)
+    return piecewise_linear(lambda t: np.asarray(forcing(t)), first, tolerance=_TOLERANCE).tensors
 
 
 def _scale(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:

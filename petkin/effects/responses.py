@@ -77,7 +77,7 @@ class Exact:
 
     @property
     def blood(self) -> torch.Tensor:
-        return self.clock.of_forcing(self.input.whole_blood)
+        return torch.as_tensor(self.clock.of_forcing(self.input.whole_blood))
 
     @property
     def blood_area(self) -> torch.Tensor:
@@ -157,7 +157,7 @@ class _March:
         integral = area[count:] - area[:count]
         if rates is not None:
             integral = (integral - (y[:, count:] - y[:, :count])) / np.maximum(sinks, _LEAST)[:, None]
-        return gone * integral / clock.divisor.numpy()
+        return gone * integral / clock.divisor
 
     def _mid_frame(self, clock: FrameObservation, sinks: Array) -> Array:
         mid = clock.frames.mid - self.delay
@@ -165,7 +165,7 @@ class _March:
             curve = _at(self.nodes, self.u, self.y, self.area, sinks, mid)[0]
         else:
             curve = np.interp(mid, self.nodes, self.u, left=0.0)
-        return curve * np.exp(self.decay * mid) * clock.gain_or_one.numpy()
+        return curve * np.exp(self.decay * mid) * clock.gain_or_one
 
 
 @lru_cache(maxsize=32)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import Shifted
@@ -118,8 +117,7 @@ def _costs(
     rate_bounds: tuple[float, float],
 ) -> Array:
     """Least weighted sums of squares of every delay and curve (D, N)."""
-    batch = torch.tensor(delays)
-    late = replace(arterial, plasma=Shifted(arterial.plasma, batch), whole_blood=Shifted(arterial.whole_blood, batch))
+    late = replace(arterial, plasma=Shifted(arterial.plasma, delays), whole_blood=Shifted(arterial.whole_blood, delays))
     slow = 0.0 if model.trapping else rate_bounds[0]
     tables = build_table(late, observation, rate_bounds=(slow, rate_bounds[1]), nodes=_EFFORT.nodes)
     sizes = (weights * curves**2).sum(axis=1)

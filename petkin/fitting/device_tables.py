@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from petkin.errors import InputError
 from petkin.fitting import lanes
 from petkin.fitting.table import Compression
 from petkin.kinetics import CompartmentModel
 
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
 Array = NDArray[np.float64]
+
+#: Curves on the device at a time: 0.15 GB an array of curves x pairs.
+CHUNK = 65536
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,8 @@ def find_device(name: str) -> torch.device:
     Raises:
         InputError: there is none.
     """
+    import torch
+
     try:
         device = torch.device(name)
         torch.empty(1, dtype=torch.float64, device=device).sum().item()
@@ -85,6 +93,8 @@ def device_tables(
         device: e.g. "cuda".
         blood: whether blood takes part.
     """
+    import torch
+
     there, products, count = find_device(device), packed.products, len(coarse)
     free = model.free_rates == 2
     two = free or model.trapping
@@ -120,6 +130,8 @@ def device_tables(
 
 def read_atoms(t: DeviceTables, x: Tensor) -> tuple[Tensor, Tensor]:
     """b and db/dx at positions x (n,), (n, R) each."""
+    import torch
+
     cell = x.long().clamp(max=len(t.cells) - 1)
     rows, s = t.cells[cell], x - cell
     value, slope = (torch.stack(f.py_func(s), dim=1) for f in (lanes.value_weights, lanes.slope_weights))

@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import Forcing
@@ -61,8 +60,8 @@ def input_columns(forcing: Forcing, observation: FrameObservation) -> tuple[Arra
 
 @lru_cache(maxsize=4)
 def _input_columns(forcing: Itself, observation: Itself) -> tuple[Array, Array]:
-    area = observation.thing.of_response(forcing.thing, torch.zeros(1, dtype=torch.float64))[0]
-    return _for_good(observation.thing.of_forcing(forcing.thing).numpy()), _for_good(area.numpy())
+    area = observation.thing.of_response(forcing.thing, np.zeros(1))[0]
+    return _for_good(np.asarray(observation.thing.of_forcing(forcing.thing))), _for_good(np.asarray(area))
 
 
 def _for_good(array: Array) -> Array:
@@ -76,6 +75,8 @@ def input_integrals(forcing: Forcing, observation: FrameObservation) -> tuple[Ar
 
     int_0^t (t - s) u(s) ds is what the response e^{-a t} * u loses per unit of rate at a = 0.
     """
+    import torch
+
     rate = torch.zeros(1, dtype=torch.float64, requires_grad=True)
     values = observation.of_response(forcing, rate)[0]
     # The derivative of all values by one number, from two passes backwards: the first is linear in `seed`.

@@ -12,10 +12,9 @@ from petkin.errors import InputError
 from petkin.fitting.bounded import fit_in_box
 from petkin.fitting.box import ON_BOUND
 from petkin.fitting.curves import check_shapes
-from petkin.fitting.device_tables import DeviceTables
+from petkin.fitting.device_tables import CHUNK, DeviceTables
 from petkin.fitting.inversion import fill_parameters
 from petkin.fitting.kernel import Tables
-from petkin.fitting.on_device import CHUNK
 from petkin.fitting.one_rate import OneRateTables, search_in_frames
 from petkin.fitting.parts import PART, in_parts
 from petkin.fitting.projection import project_curves

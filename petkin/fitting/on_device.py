@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor, where
 
 from petkin.fitting import lanes
-from petkin.fitting.device_tables import DeviceTables, read_atoms
+from petkin.fitting.device_tables import CHUNK, DeviceTables, read_atoms
 from petkin.fitting.kernel import COST, MOST_ROUNDS, REACH, U1, U2, X0, X1, X2
 
 Array = NDArray[np.float64]
-
-#: Curves on the device at a time: 0.15 GB an array of curves x pairs.
-CHUNK = 65536
 
 #: Gauss-Newton steps of one rate go on to where Newton's steps of `one_rate` end.
 _ONE_RATE_TOLERANCE = 1e-9

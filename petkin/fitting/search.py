@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from petkin.fitting import kernel
 from petkin.fitting.device_tables import DeviceTables, device_tables
 from petkin.fitting.lanes import MAX_STEPS
-from petkin.fitting.on_device import search_on_device
 from petkin.fitting.one_rate import OneRateTables, one_rate_tables, search_one_rate
 from petkin.fitting.scan import SINGLE, TRAPPED
 from petkin.fitting.table import RATE_OFFSET, Compression
@@ -88,6 +87,8 @@ def search_among(
     if isinstance(tables, OneRateTables):
         found = search_one_rate(tables, z, sizes)
     elif isinstance(tables, DeviceTables):
+        from petkin.fitting.on_device import search_on_device
+
         found = search_on_device(z, sizes, tables, effort.tolerance, effort.again)
     else:
         found = kernel.search(z, sizes, tables, effort.tolerance, effort.again)

@@ -16,7 +16,6 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-import torch
 from numba import njit
 from numpy.typing import NDArray
 
@@ -102,14 +101,13 @@ def _built(arterial: Itself, observation: Itself, rate_bounds: tuple[float, floa
     u = np.linspace(float(log_rate(rate_bounds[0])), float(log_rate(rate_bounds[1])), nodes)
     beside = _STEP * np.arange(1, len(_ONE_SIDED))
     every = np.concatenate([u, u[0] + beside, u[-1] - beside])
-    rates = torch.from_numpy(np.maximum(np.exp(every) - RATE_OFFSET, 0.0))
-    with torch.no_grad():
-        values = observation.thing.of_response(arterial.thing.plasma, rates).numpy()
-        blood = observation.thing.of_forcing(arterial.thing.whole_blood)
+    rates = np.maximum(np.exp(every) - RATE_OFFSET, 0.0)
+    values = np.asarray(observation.thing.of_response(arterial.thing.plasma, rates))
+    blood = np.asarray(observation.thing.of_forcing(arterial.thing.whole_blood))
     basis, above, below = np.split(values, [nodes, nodes + len(beside)])
     lowest = np.tensordot(_ONE_SIDED, np.concatenate([basis[:1], above]), 1) / _STEP
     highest = -np.tensordot(_ONE_SIDED, np.concatenate([basis[-1:], below]), 1) / _STEP
-    return BasisTable(u, basis, _spline_slopes(basis, float(u[1] - u[0]), lowest, highest), blood.numpy())
+    return BasisTable(u, basis, _spline_slopes(basis, float(u[1] - u[0]), lowest, highest), blood)
 
 
 def _spline_slopes(values: Array, spacing: float, first: Array, last: Array) -> Array:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
 
+from petkin.dynamics.arrays import alike
 from petkin.errors import InputError
 from petkin.units import SECONDS_PER_MINUTE
+
+Array = NDArray[np.float64]
 
 #: Frame edges in files are rounded; overlaps below this (min) are rounding.
 _EDGE_TOLERANCE = 1e-3
@@ -109,39 +111,40 @@ class FrameObservation:
     mid_frame: bool = False
     gain: NDArray[np.float64] | None = None
 
-    def of_forcing(self, forcing) -> Float[Tensor, "*b frames"]:
-        """x_k of the forcing itself."""
+    def of_forcing(self, forcing) -> Any:
+        """x_k of the forcing itself (*b, frames): a tensor if the forcing holds tensors, else an array."""
         return self._observe(forcing, lambda t: forcing.integral(t, self.decay))
 
-    def of_response(self, forcing, rates: Float[Tensor, "*r"]) -> Float[Tensor, "*rb frames"]:
-        """x_k of e^{-a t} * forcing for every rate a (1/min)."""
+    def of_response(self, forcing, rates: Any) -> Any:
+        """x_k of e^{-a t} * forcing for every rate a (1/min), (*rb, frames): a tensor if forcing or rates are."""
         return self._observe(
             lambda t: forcing.response(rates, t), lambda t: forcing.response_integral(rates, t, self.decay)
         )
 
-    def _observe(self, curve: Callable[[Tensor], Tensor], cumulative: Callable[[Tensor], Tensor]) -> Tensor:
+    def _observe(self, curve: Callable[[Array], Any], cumulative: Callable[[Array], Any]) -> Any:
         if self.mid_frame:
-            return curve(torch.tensor(self.frames.mid)) * self.gain_or_one
-        start, end = torch.tensor(self.frames.start), torch.tensor(self.frames.end)
-        edges, place = torch.unique(torch.cat([start, end]), return_inverse=True)  # most ends are the next start
-        areas = cumulative(edges)[..., place]
-        area = areas[..., len(start) :] - areas[..., : len(start)]
-        return area / self.divisor
+            values, gain = alike(curve(self.frames.mid), self.gain_or_one)
+            return values * gain
+        both = np.concatenate([self.frames.start, self.frames.end])
+        edges, place = np.unique(both, return_inverse=True)  # most ends are the next start
+        areas, divisor = alike(cumulative(edges), self.divisor)
+        areas = areas[..., place]
+        return (areas[..., len(self.frames) :] - areas[..., : len(self.frames)]) / divisor
 
     @cached_property
-    def divisor(self) -> Float[Tensor, " frames"]:
+    def divisor(self) -> Float[Array, " frames"]:
         """What the frame's integral is divided by to give its value, min."""
-        plain = self.mean_decay_times_duration if self.corrected else torch.tensor(self.frames.duration)
-        return plain if self.gain is None else plain / self.gain_or_one
+        plain = self.mean_decay_times_duration if self.corrected else self.frames.duration
+        return plain if self.gain is None else plain / self.gain
 
     @property
-    def gain_or_one(self) -> Float[Tensor, " frames"]:
-        return torch.ones(len(self.frames), dtype=torch.float64) if self.gain is None else torch.tensor(self.gain)
+    def gain_or_one(self) -> Float[Array, " frames"]:
+        return np.ones(len(self.frames)) if self.gain is None else self.gain
 
     @cached_property
-    def mean_decay_times_duration(self) -> Float[Tensor, " frames"]:
+    def mean_decay_times_duration(self) -> Float[Array, " frames"]:
         """int_k e^{-lam t} dt, min."""
-        start, duration = torch.tensor(self.frames.start), torch.tensor(self.frames.duration)
+        start, duration = self.frames.start, self.frames.duration
         if self.decay == 0.0:
             return duration
-        return torch.exp(-self.decay * start) * -torch.expm1(-self.decay * duration) / self.decay
+        return np.exp(-self.decay * start) * -np.expm1(-self.decay * duration) / self.decay

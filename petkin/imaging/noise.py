@@ -118,7 +118,7 @@ def reference_frame(observation: FrameObservation) -> int:
 def _counts_per_value(observation: FrameObservation) -> NDArray[np.floating]:
     """d_k / g_k, min."""
     if observation.corrected:
-        return observation.mean_decay_times_duration.numpy()
+        return observation.mean_decay_times_duration
     return observation.frames.duration
 
 

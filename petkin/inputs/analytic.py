@@ -6,16 +6,18 @@ The presets are in the unit of their sources (uCi/mL); pass `factor=37.0` for kB
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from petkin.dynamics import ExponentialSum, Forcing, PiecewiseLinear
 from petkin.errors import InputError
 from petkin.inputs.input_function import InputFunction
 from petkin.inputs.linearise import piecewise_linear
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 #: A2, A3 (uCi/mL) and the rates (1/min, negative: the printed positive ones would explode) of both presets.
 _FENG = {"A2": 21.8798, "A3": 20.8113, "rates": (-4.133859, -0.1190996, -0.01043449)}
@@ -50,6 +52,8 @@ def feng(
 
     Reference: Feng D, Huang SC, Wang X. Int J Biomed Comput 1993;32:95-110. doi:10.1016/0020-7101(93)90049-C
     """
+    import torch
+
     if max(rates) >= 0:
         raise InputError(f"The rates of a plasma curve must be negative (the curve falls); got {rates}.")
     rise = factor * torch.as_tensor(A1, dtype=torch.float64)
@@ -88,13 +92,10 @@ def exponentials(amplitudes: list[float], rates: list[float], *, onset: float = 
         rates: l_j, 1/min, as many; zero for a constant level.
         onset: min.
     """
-    as_tensor = torch.as_tensor
-    return ExponentialSum(
-        as_tensor(amplitudes, dtype=torch.float64),
-        as_tensor(rates, dtype=torch.float64),
-        powers=(0,) * len(rates),
-        onset=onset,
-    )
+    import torch
+
+    terms = torch.tensor([amplitudes, rates], dtype=torch.float64)
+    return ExponentialSum(*terms, powers=(0,) * len(rates), onset=onset)
 
 
 def linear_rise(

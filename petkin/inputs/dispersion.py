@@ -9,7 +9,6 @@ Meyer E. J Nucl Med 1989;30:1069-1078.
 from __future__ import annotations
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import Forcing, PiecewiseLinear
@@ -33,13 +32,12 @@ def dispersed(forcing: Forcing, tau: float, *, end: float, tolerance: float = 1e
         InputError: tau is not positive, or `end` lies before the start.
     """
     _check(tau)
-    knots = forcing.knots.detach().cpu().numpy().astype(float)
+    knots = np.asarray(forcing.knots, np.float64)
     if end <= knots[0]:
         raise InputError(f"The dispersed curve is wanted up to {end:g} min but starts at {knots[0]:g} min: extend it.")
-    rate = torch.tensor(1.0 / tau, dtype=torch.float64)
 
     def curve(t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return (forcing.response(rate, torch.as_tensor(t)) / tau).detach().cpu().numpy()
+        return np.asarray(forcing.response(np.array(1.0 / tau), t)) / tau
 
     # A piece that halving would skip over (a short peak between two far knots) is caught by this first division.
     first = np.linspace(knots[0], end, 64)

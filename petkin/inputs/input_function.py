@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pandas as pd
-import torch
 
 from petkin.dynamics import Forcing, Shifted
 from petkin.inputs.parent_fraction import ParentFractionFit
@@ -50,4 +50,4 @@ class InputFunction:
 
     def area(self, until: float) -> float:
         """Area under C_P from injection to `until` (min), kBq min/mL; of one curve, not of a batch."""
-        return float(self.plasma.integral(torch.tensor([until], dtype=torch.float64)))
+        return float(self.plasma.integral(np.array([until]))[0])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import PiecewiseLinear
@@ -27,7 +26,7 @@ def piecewise_linear(
         tolerance: largest departure at the quarter points of a piece, relative to the curve there.
 
     Returns:
-        The forcing, float64, from the first to the last knot.
+        The forcing, arrays of float64, from the first to the last knot.
     """
     times = np.unique(knots)
     values = curve(times)
@@ -39,7 +38,7 @@ def piecewise_linear(
         order = np.argsort(np.concatenate([times, middles]), kind="stable")
         values = np.concatenate([values, curve(middles)])[order]
         times = np.concatenate([times, middles])[order]
-    return PiecewiseLinear(torch.as_tensor(times), torch.as_tensor(values))
+    return PiecewiseLinear(times, values)
 
 
 def _bent(

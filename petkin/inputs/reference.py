@@ -18,9 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from petkin.dynamics import Forcing, PiecewiseLinear
 
@@ -45,14 +43,14 @@ class Smoothest:
     @property
     def responses(self) -> PiecewiseLinear:
         """The curves of all unit frame values, a batch (K,)."""
-        return PiecewiseLinear(torch.from_numpy(self.times), torch.from_numpy(self.weights))
+        return PiecewiseLinear(self.times, self.weights)
 
     def through(self, values: Array) -> PiecewiseLinear:
         """The curve that reports these frame values (K,), kBq/mL over min."""
-        return PiecewiseLinear(torch.from_numpy(self.times), torch.from_numpy(values @ self.weights))
+        return PiecewiseLinear(self.times, values @ self.weights)
 
 
-def smoothest(edges: Array, report: Callable[[Forcing], Tensor]) -> Smoothest:
+def smoothest(edges: Array, report: Callable[[Forcing], Array]) -> Smoothest:
     """How frame values make a curve.
 
     Args:
@@ -64,8 +62,7 @@ def smoothest(edges: Array, report: Callable[[Forcing], Tensor]) -> Smoothest:
     edges = np.unique(np.append(edges, 0.0))
     share = np.arange(_PIECES) / _PIECES
     times = np.append((edges[:-1, None] + np.diff(edges)[:, None] * share).ravel(), edges[-1])
-    unit = PiecewiseLinear(torch.from_numpy(times), torch.eye(len(times), dtype=torch.float64))
-    reported = report(unit).numpy()  # (n, K)
+    reported = report(PiecewiseLinear(times, np.eye(len(times))))  # (n, K)
     spread = _kernel(np.log1p(times)) @ reported
     scale = 1.0 / np.sqrt(np.einsum("nk,nk->k", reported, spread))
     normal = scale[:, None] * (reported.T @ spread) * scale

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-import torch
 from numpy.typing import ArrayLike, NDArray
 
 from petkin.dynamics import Forcing, PiecewiseLinear
@@ -56,7 +55,7 @@ def from_table(
 
     def forcing(name: str) -> PiecewiseLinear:
         keep = needed_knots(given[TIME], given[name], tolerance=max(tolerance, 1e-12))
-        return PiecewiseLinear(torch.as_tensor(given[TIME][keep]), torch.as_tensor(given[name][keep]))
+        return PiecewiseLinear(given[TIME][keep], given[name][keep])
 
     remark = "Whole blood was not given and is taken equal to the plasma curve."
     return InputFunction(
@@ -99,4 +98,4 @@ def input_table(input_function: InputFunction, times: ArrayLike) -> pd.DataFrame
 
 
 def _at(forcing: Forcing, t: NDArray[np.float64]) -> NDArray[np.float64]:
-    return forcing(torch.as_tensor(t)).detach().cpu().numpy()
+    return np.asarray(forcing(t))

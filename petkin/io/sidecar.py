@@ -108,7 +108,7 @@ class PetSidecar(BaseModel):
         if self.image_decay_corrected:
             reference = units.minutes(self.image_decay_correction_time or 0.0)
             return np.full(len(frames), np.exp(self.decay_constant * reference))
-        return frames.duration / FrameObservation(frames, self.decay_constant).mean_decay_times_duration.numpy()
+        return frames.duration / FrameObservation(frames, self.decay_constant).mean_decay_times_duration
 
     @property
     def kbq_per_ml(self) -> float:

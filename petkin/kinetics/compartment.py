@@ -18,15 +18,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from petkin.dynamics import Forcing, Parameter, ParameterSet, System
+from petkin.dynamics.arrays import alike
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 #: One exponential of the impulse response: (amplitude phi, rate a).
 Exponential = tuple[Any, Any]
@@ -102,6 +104,8 @@ class CompartmentModel:
 
     def exponentials(self, parameters: Float[Tensor, "*b P"]) -> tuple[Float[Tensor, "*b m"], Float[Tensor, "*b m"]]:
         """phi_i (mL/cm3/min) and a_i (1/min) of the tissue's impulse response."""
+        import torch
+
         pairs = self.impulse(*parameters[..., : self.rates].unbind(-1))
         shape = parameters.shape[:-1]
         phi = torch.stack([torch.as_tensor(p, dtype=parameters.dtype).expand(shape) for p, _ in pairs], dim=-1)
@@ -127,7 +131,7 @@ class CompartmentModel:
         phi, rate = self.exponentials(parameters)
         vB = parameters[..., -1:]
         tissue = (phi[..., None] * observation.of_response(arterial.plasma, rate)).sum(dim=-2)
-        blood = observation.of_forcing(arterial.whole_blood)
+        blood = alike(observation.of_forcing(arterial.whole_blood), vB)[0]
         if self.wall:
             blood = blood + parameters[..., -2:-1] * observation.of_response(arterial.plasma, rate.new_zeros(()))
         return (1.0 - vB) * tissue + vB * blood

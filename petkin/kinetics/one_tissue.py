@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import torch
+from typing import TYPE_CHECKING
 
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.kinetics.compartment import BLOOD_VOLUME, CompartmentModel, Macro
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def _impulse(K1, k2):
@@ -16,7 +19,7 @@ def _invert(only):
     return only
 
 
-def _field(state: torch.Tensor, plasma: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
+def _field(state: Tensor, plasma: Tensor, rates: Tensor) -> Tensor:
     K1, k2 = rates.unbind(-1)
     return (K1 * plasma - k2 * state[..., 0])[..., None]
 

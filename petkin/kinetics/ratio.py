@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
-
-import torch
+from typing import TYPE_CHECKING, Any
 
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.kinetics.compartment import CompartmentModel, Macro
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 _VND = Parameter("VND", "mL cm^-3", 1.0, 0.0, 100.0, meaning="non-displaceable distribution volume, K1/k2")
 
@@ -23,7 +24,9 @@ def with_ratio(model: CompartmentModel) -> CompartmentModel:
         K1, k2, *others = model.invert(*pairs)
         return K1 / k2, k2, *others
 
-    def field(state: torch.Tensor, plasma: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
+    def field(state: Tensor, plasma: Tensor, rates: Tensor) -> Tensor:
+        import torch
+
         return model.field(state, plasma, torch.cat([rates[..., :1] * rates[..., 1:2], rates[..., 1:]], dim=-1))
 
     def follows(macro: Macro) -> Macro:

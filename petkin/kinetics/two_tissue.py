@@ -12,10 +12,13 @@ non-negative amplitudes and rates are exactly the non-negative rate constants.
 
 from __future__ import annotations
 
-import torch
+from typing import TYPE_CHECKING
 
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.kinetics.compartment import BLOOD_VOLUME, CompartmentModel, Macro
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 #: Added under the root (1/min^2): keeps its derivative finite where both rates meet, far below rounding elsewhere.
 _ROOT_FLOOR = 1e-18
@@ -49,7 +52,9 @@ def _invert(fast, slow):
     return K1, k2, phi_1 * phi_2 * (a1 - a2) * (a1 - a2) / (K1 * K1 * k2), k4
 
 
-def _field(state: torch.Tensor, plasma: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
+def _field(state: Tensor, plasma: Tensor, rates: Tensor) -> Tensor:
+    import torch
+
     K1, k2, k3, k4 = rates.unbind(-1)
     free, bound = state.unbind(-1)
     return torch.stack([K1 * plasma - (k2 + k3) * free + k4 * bound, k3 * free - k4 * bound], dim=-1)
@@ -67,7 +72,9 @@ def _invert_trapping(fast, trapped):
     return K1, a1 * phi_1 / K1, a1 * phi_2 / K1
 
 
-def _field_trapping(state: torch.Tensor, plasma: torch.Tensor, rates: torch.Tensor) -> torch.Tensor:
+def _field_trapping(state: Tensor, plasma: Tensor, rates: Tensor) -> Tensor:
+    import torch
+
     return _field(state, plasma, torch.cat([rates, torch.zeros_like(rates[..., :1])], dim=-1))
 
 

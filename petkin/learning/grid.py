@@ -89,7 +89,7 @@ def _hermite(nodes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[
 
 def _over_frames(nodes: NDArray[np.float64], seen: FrameObservation) -> NDArray[np.float64]:
     rows = [_frame_row(nodes, a, b, seen.decay) for a, b in zip(seen.frames.start, seen.frames.end)]
-    return np.stack(rows) / seen.divisor.numpy()[:, None]
+    return np.stack(rows) / seen.divisor[:, None]
 
 
 def _frame_row(nodes: NDArray[np.float64], start: float, end: float, decay: float) -> NDArray[np.float64]:

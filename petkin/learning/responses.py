@@ -73,7 +73,7 @@ class Responses:
             table.float(),
             (len(nodes), frames, frames),
             torch.stack([one.plasma(nodes) for one in known]).float(),
-            torch.stack([one.observation.of_forcing(one.blood) for one in known]).float(),
+            torch.stack([torch.as_tensor(one.observation.of_forcing(one.blood)) for one in known]).float(),
         )
 
     def __call__(

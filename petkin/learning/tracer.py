@@ -135,7 +135,7 @@ def drawn_curves(population: Population, subjects: int, seed: int) -> tuple[Cond
     _, measured = draw(population, subjects, 1, seed)
     values, amounts = measured.states[:, 0, :, 1], measured.states[:, 0, 0, 2:]
     level = values.unflatten(0, (subjects, -1)).mean(dim=(1, 2)).repeat_interleave(population.regions)[:, None]
-    weights = population.observation.divisor.float() / (values / level).clamp_min(0.05)
+    weights = torch.tensor(population.observation.divisor).float() / (values / level).clamp_min(0.05)
     return conditions, Curves(LEVEL * values / level, weights / weights.mean(), LEVEL * amounts / level)
 
 

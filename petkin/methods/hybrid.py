@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.errors import InputError
@@ -15,6 +14,8 @@ from petkin.kinetics import ONE_TISSUE, Macro
 from petkin.methods.method import Method
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from petkin.learning import Identified
 
 _VOLUME = Macro("VT", "mL cm^-3", lambda K1, k2: K1 / k2, "C_T/C_P at rest, with the learned correction")
@@ -23,6 +24,8 @@ _SHOWN = 6
 
 
 def _fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: bool) -> FitResult:
+    import torch
+
     from petkin.learning import Known, Measured, identify_scan
 
     arterial = given.input("hybrid")
@@ -41,7 +44,7 @@ def _fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: b
 
 
 def _result(values: NDArray, usable: NDArray[np.bool_], found: Identified, weights: NDArray) -> FitResult:
-    def spread(part: torch.Tensor) -> NDArray[np.float64]:
+    def spread(part: Tensor) -> NDArray[np.float64]:
         whole = np.full((len(values), *part.shape[1:]), np.nan)
         whole[usable] = part.double().numpy()
         return whole

@@ -85,7 +85,7 @@ def without_blood(given: Given, vB: float, label: str) -> tuple[Array, float]:
         raise InputError(f"A blood volume fraction of {vB:g} cannot be taken off; it lies in [0, 1).")
     if vB == 0.0:
         return np.zeros(len(given.observation.frames)), 1.0
-    return vB * given.observation.of_forcing(given.input(label).whole_blood).numpy(), 1.0 / (1.0 - vB)
+    return vB * np.asarray(given.observation.of_forcing(given.input(label).whole_blood)), 1.0 / (1.0 - vB)
 
 
 def _plots(

@@ -59,7 +59,7 @@ def _fit(curves, given: Given, choices: Choices, voxels: bool) -> FitResult:
     area, double = input_integrals(plasma, observation)
     shared, quantities, read = [double, area], _TISSUE, _read_tissue
     if known is None:
-        shared, quantities, read = [*shared, observation.of_forcing(plasma).numpy()], (*_TISSUE, _BLOOD), _read
+        shared, quantities, read = [*shared, np.asarray(observation.of_forcing(plasma))], (*_TISSUE, _BLOOD), _read
     blood = without_blood(given, known or 0.0, "LS2TCM")
     weights = weights_and_noise(given.weights, "LS2TCM")
     design = LinearDesign(np.stack(shared), np.stack([once, twice]), np.eye(len(once)), *weights, *blood)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.errors import InputError
@@ -86,11 +85,10 @@ class InputCurves:
             parent_fraction: on `curve_times(until)`.
         """
         time = curve_times(until)
-        t = torch.from_numpy(time)
         return cls(
             time=time,
-            aif=source.plasma(t).numpy(),
-            whole_blood=source.whole_blood(t).numpy(),
+            aif=np.asarray(source.plasma(time)),
+            whole_blood=np.asarray(source.whole_blood(time)),
             total_plasma=total_plasma,
             parent_fraction=parent_fraction,
             samples=_samples_of(source),

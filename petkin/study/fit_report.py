@@ -97,14 +97,12 @@ def _chosen(fit: ScanFit, request: FitRequest) -> list[str]:
 
 
 def _input(arterial: InputFunction, until: float) -> InputCurves:
-    import torch
-
-    times = torch.tensor(curve_times(until))
+    times = curve_times(until)
     return InputCurves.from_input(
         arterial,
         until,
-        total_plasma=None if arterial.total_plasma is None else arterial.total_plasma(times).numpy(),
-        parent_fraction=None if arterial.parent_fraction is None else arterial.parent_fraction(times).numpy(),
+        total_plasma=None if arterial.total_plasma is None else np.asarray(arterial.total_plasma(times)),
+        parent_fraction=None if arterial.parent_fraction is None else np.asarray(arterial.parent_fraction(times)),
     )
 
 

@@ -41,7 +41,7 @@ def denoise(voxels: VoxelCurves, source: Source, fwhm: float) -> None:
         fwhm: of the kernel, mm.
     """
     rows, inside = voxels.rows, voxels.mask.ravel(order="F")
-    counted = FrameObservation(source.frames, decay=source.decay).mean_decay_times_duration.numpy()
+    counted = FrameObservation(source.frames, decay=source.decay).mean_decay_times_duration
     composite = composite_image((voxels.volume(row, 0.0) for row in rows.array), counted).astype(np.float32)
     frames = (voxels.volume(row, 0.0) for row in rows.array)
     size = tuple(voxels.series.voxel_mm)

@@ -62,7 +62,7 @@ def test_a_frame_is_the_decay_weighted_mean_of_its_parts(index, seed, cut, decay
     middle = SCHEDULE.start + cut * SCHEDULE.duration
     parts = FrameSchedule(np.stack([SCHEDULE.start, middle], 1).ravel(), np.stack([middle, SCHEDULE.end], 1).ravel())
     observation = FrameObservation(parts, decay)
-    share = observation.mean_decay_times_duration.numpy().reshape(-1, 2)
+    share = observation.mean_decay_times_duration.reshape(-1, 2)
     values = frames(model, p, ARTERIAL, observation).reshape(2, -1, 2)
     whole = (values * share).sum(axis=-1) / share.sum(axis=-1)
     np.testing.assert_allclose(

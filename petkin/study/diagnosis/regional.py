@@ -154,7 +154,7 @@ class RegionalSimulator:
     def spread(self, values: Array) -> Array:
         """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value that is corrected for decay."""
         level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
-        return np.sqrt(level / self.clock.mean_decay_times_duration.numpy())
+        return np.sqrt(level / self.clock.mean_decay_times_duration)
 
     def flexible(self, shared: Array) -> Array:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""
@@ -250,7 +250,7 @@ def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0
     for stop, step_s in steps:
         parts.append(np.arange(start, max(stop, start), step_s / SECONDS_PER_MINUTE))
         start = max(stop, start)
-    knots = [f.knots.numpy() for f in (arterial.plasma, arterial.whole_blood)]
+    knots = [np.asarray(f.knots) for f in (arterial.plasma, arterial.whole_blood)]
     nodes = np.unique(np.concatenate([*parts, *knots, [end + 2.0]]).round(9))
     return nodes[(nodes >= 0) & (nodes <= end + 2.0)].astype(np.float64)
 

@@ -56,5 +56,5 @@ def _decay_factors(plan: Plan) -> list[float]:
     """lambda d / (1 - e^{-lambda d}) e^{lambda start} of every frame, or 1 where values are not corrected."""
     if not plan.observation.corrected:
         return [1.0] * len(plan.frames)
-    factors = plan.frames.duration / plan.observation.mean_decay_times_duration.numpy()
+    factors = plan.frames.duration / plan.observation.mean_decay_times_duration
     return np.round(factors, 9).tolist()

@@ -165,7 +165,7 @@ class _Motion:
         """u(t) inside the window: a knot at its edge belongs to the neighbour, whose one-sided value may be another."""
         if self.forcing is None:
             return None
-        knots, (low, high), batch = self.forcing.knots, self.window, state.shape[:-1]
+        knots, (low, high), batch = torch.as_tensor(self.forcing.knots), self.window, state.shape[:-1]
         margin = 16 * torch.finfo(knots.dtype).eps * max(abs(low), abs(high))
         inside = t.clamp(min=low + margin, max=high - margin).to(knots.dtype)
         values = self.forcing(inside.reshape(-1)).to(state.dtype)

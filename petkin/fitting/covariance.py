@@ -1,21 +1,19 @@
 """Standard errors of every curve: the compiled Gauss-Newton covariance, many curves in step as in `lanes`.
 
-What a model is enters as a tape of its formulas (`tape`); see `normal` for the normal equations.
+What a model is enters as a tape of its `formulas`; see `normal` for the normal equations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from petkin.fitting import lanes, normal_one
-from petkin.fitting.lanes import LANES, OWN
+from petkin.fitting import normal_one
+from petkin.fitting.formulas import Formulas, curve_formulas, gather, lay, place, unpack
+from petkin.fitting.lanes import LANES
 from petkin.fitting.normal import (
     ALL_ROWS,
     COLUMN,
@@ -24,18 +22,15 @@ from petkin.fitting.normal import (
     LOST,
     PARAMETERS,
     SCALE,
-    SPEED_1,
     VALUE,
     VECTORS,
-    X0,
     invert,
     invert_again,
 )
 from petkin.fitting.normal_one import gather_one, invert_one
-from petkin.fitting.table import RATE_OFFSET, Compression, InnerProducts
-from petkin.fitting.tape import Tape, record_partials, run
+from petkin.fitting.table import Compression, InnerProducts
+from petkin.fitting.tape import run
 from petkin.kinetics import CompartmentModel
-from petkin.kinetics.compartment import Macro
 
 Array = NDArray[np.float64]
 
@@ -47,31 +42,6 @@ _ROWS = ALL_ROWS + 12
 _STRICT = {"contract", "nsz"}
 #: Relative error of a pivot from which on a curve is done again.
 _TOO_MUCH = 1e-6
-
-
-@dataclass(frozen=True)
-class Formulas:
-    """What follows from P parameters, on tape.
-
-    Args:
-        tape: x0, then x and rate (1/min) of every exponential, then the macro-parameters, and their derivatives; the
-            curve is x0 axis + sum_m x_m b(a_m).
-        parameters: P, at most 5.
-        exponentials: how many, 1 or 2.
-        macros: how many.
-    """
-
-    tape: Tape
-    parameters: int
-    exponentials: int
-    macros: int
-
-    @classmethod
-    def of(cls, curve: Callable[..., tuple[Any, ...]], macros: tuple[Callable[..., Any], ...], parameters: int):
-        """From functions of the parameters: `curve` -> (x0, x1, a1) or (x0, x1, a1, x2, a2), and each macro."""
-        tape = record_partials(lambda *p: (*curve(*p), *(m(*p) for m in macros)), parameters)
-        values = len(tape.outputs) // (parameters + 1)
-        return cls(tape, parameters, (values - len(macros) - 1) // 2, len(macros))
 
 
 @dataclass(frozen=True)
@@ -98,17 +68,6 @@ class Limits:
         free = np.flatnonzero(~self.fixed)
         rows[0, free], rows[1, free], rows[2, free] = self.lowest[free], self.highest[free], 1.0
         return rows
-
-
-@lru_cache
-def curve_formulas(model: CompartmentModel, macros: tuple[Macro, ...] = ()) -> Formulas:
-    """Of a compartment model: x0 = vB, x_m = (1 - vB) phi_m; macro-parameters as asked for."""
-
-    def curve(*p):
-        *rates, vB = p
-        return (vB, *(number for phi, a in model.impulse(*rates) for number in ((1.0 - vB) * phi, a)))
-
-    return Formulas.of(curve, tuple(lambda *p, m=m: m.formula(*p[:-1]) for m in macros), len(model.parameters))
 
 
 def model_errors(
@@ -183,8 +142,8 @@ def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
         for m in range(macros):
             _copy(memory[outputs[atoms + m]], values[parameters + m], start, count)
         for m in range(exponentials):
-            _lay(memory, outputs[1 + 2 * m], w, _AMPLITUDE + m)
-            _lay(memory, outputs[2 + 2 * m], w, _RATE + m)
+            lay(memory, outputs[1 + 2 * m], w, _AMPLITUDE + m)
+            lay(memory, outputs[2 + 2 * m], w, _RATE + m)
         _touch(w, ends)
         for n in range(count):
             reached[start + n] = np.int16(w[_REACHED * LANES + n])
@@ -209,9 +168,9 @@ def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
         for q in range(parameters):
             _copy(w[(_ERROR + q) * LANES :], percent[q], start, count)
         for m in range(macros):
-            _lay(memory, outputs[atoms + m], w, _MACRO)
+            lay(memory, outputs[atoms + m], w, _MACRO)
             for q in range(parameters):
-                _lay(memory, outputs[atoms + macros + (atoms + m) * parameters + q], w, COLUMN + q)
+                lay(memory, outputs[atoms + macros + (atoms + m) * parameters + q], w, COLUMN + q)
             _macro_error(w)
             _copy(w[_ERROR * LANES :], percent[parameters + m], start, count)
 
@@ -224,7 +183,7 @@ def _enter(memory, values, chi2, parameters, start, count, w):
             memory[q, n] = values[q, start + n]
         for n in range(count, LANES):
             memory[q, n] = 1.0
-        _lay(memory, q, w, VALUE + q)
+        lay(memory, q, w, VALUE + q)
     for n in range(LANES):
         w[_CHI2 * LANES + n] = chi2[start + n] if n < count else 1.0
 
@@ -233,14 +192,6 @@ def _enter(memory, values, chi2, parameters, start, count, w):
 def _copy(numbers, out, start, count):
     for n in range(count):
         out[start + n] = numbers[n]
-
-
-@njit(cache=True, error_model="numpy")
-def _lay(memory, register, w, row):
-    """A register of the tape into a row."""
-    first = np.uint64(row * LANES)  # unsigned indices are known not to count from the end
-    for n in range(np.uint64(LANES)):
-        w[first + n] = memory[register, n]
 
 
 @njit(cache=True, error_model="numpy")
@@ -265,46 +216,6 @@ def _end(w, n, q, lowest, highest, free):
     below, above = value <= lowest[q], value >= highest[q]
     w[(FREE + q) * LANES + n] = 0.0 if below | above else free[q]
     return (1.0 if below else 0.0) + (2.0 if above else 0.0)
-
-
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def place(memory, outputs, exponentials, low, spacing, last, position, w):
-    """Positions of the exponentials between nodes, and how fast they move with the rate."""
-    for m in range(exponentials):
-        rate = memory[outputs[2 + 2 * m]]
-        for n in range(LANES):
-            shifted = rate[n] + RATE_OFFSET
-            w[(SPEED_1 + m) * LANES + n] = 1.0 / (shifted * spacing)
-            x = min(max((np.log(shifted) - low) / spacing, 0.0), last)
-            position[m, n] = x if x > 0.0 else 0.0  # also where a rate is no number
-
-
-@njit(cache=True, error_model="numpy")
-def gather(w, gram, own, position):
-    """What the inner products need at every curve's rates; an absent second atom sits at the first node."""
-    last, two = np.uint64(own.shape[0] - 1), np.uint64(2)
-    for n in range(LANES):
-        x, y = position[0, n], position[1, n]
-        i, j = min(np.uint64(x), last), min(np.uint64(y), last)
-        w[lanes.FRACTION_1 * LANES + n], w[lanes.FRACTION_2 * LANES + n] = x - i, y - j
-        for k in range(OWN):
-            w[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
-            w[(lanes.OWN_2 + k) * LANES + n] = own[j, np.uint64(k)]
-        for k in range(4):
-            for m in range(4):
-                w[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[two * j + np.uint64(k), two * i + np.uint64(m)]
-
-
-@njit(cache=True, error_model="numpy")
-def unpack(memory, outputs, parameters, exponentials, w):
-    """Amplitudes, and derivatives of amplitudes and rates by every parameter."""
-    atoms = 1 + 2 * exponentials
-    for m in range(exponentials + 1):
-        _lay(memory, outputs[0 if m == 0 else 2 * m - 1], w, X0 + m)
-    first = outputs.shape[0] // (parameters + 1)
-    for o in range(atoms):
-        for q in range(parameters):
-            _lay(memory, outputs[first + o * parameters + q], w, COLUMN + 5 * q + o)
 
 
 @njit(cache=True, error_model="numpy")

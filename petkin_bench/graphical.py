@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from petkin.fitting import Choices, Given
 from petkin.methods import find_method
 from petkin_bench.problems import FitProblem, fit_problem
+from petkin_bench.product import beside_product
 from petkin_bench.speed import as_read
-from petkin_bench.timing import measure
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -30,26 +30,17 @@ def measure_graphical(label: str, *, voxels: int) -> dict[str, object]:
     method, curves = find_method(label), as_read(problem)
     given = Given(problem.observation, problem.weights, problem.arterial)
     late, area = problem.observation.frames.mid >= _T_STAR, problem.closed_form.basis(0.0)
-    loop = measure(lambda: [by_hand(problem, late, area, curve) for curve in problem.curves[:_BY_HAND]], 1)
-    bare = measure(lambda: product(problem, curves, late, area))
-    ours = measure(lambda: method.fit(curves, given, Choices(t_star=_T_STAR), True))
-    full = {}
-    if label == "Patlak":
-        same = measure(lambda: patlak_in_numpy(problem, curves, late, area))
-        full = {"numpy_cpu_us": 1e6 * same.cpu / voxels}
-    return {
-        "fit": label,
-        "frames": 26,
-        "noise_percent": 5.0,
-        "voxels": voxels,
-        "voxels_per_s": voxels / ours.wall,
-        "cpu_us_per_voxel": 1e6 * ours.cpu / voxels,
-        "by_hand_cpu_us": 1e6 * loop.cpu / _BY_HAND,
-        "ratio_cpu": loop.cpu / _BY_HAND * voxels / ours.cpu,
-        "product_cpu_us": 1e6 * bare.cpu / voxels,
-        **full,
-        "baseline": "np.polyfit or lstsq a voxel, values only",
-    }
+    same = {"numpy_cpu_us": lambda: patlak_in_numpy(problem, curves, late, area)} if label == "Patlak" else {}
+    return beside_product(
+        label,
+        voxels,
+        lambda: method.fit(curves, given, Choices(t_star=_T_STAR), True),
+        lambda: [by_hand(problem, late, area, curve) for curve in problem.curves[:_BY_HAND]],
+        _BY_HAND,
+        lambda: product(problem, curves, late, area),
+        baseline="np.polyfit or lstsq a voxel, values only",
+        **same,
+    )
 
 
 def _patlak_by_hand(problem: FitProblem, late: Flags, area: Array, curve: Array) -> NDArray[np.floating]:

@@ -22,7 +22,7 @@ from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.methods import Method, find_method
 from petkin_bench.closed_form import ClosedForm
 from petkin_bench.problems import SCHEDULES, SEED_NOISE, SEED_TRUTH, counting_noise
-from petkin_bench.timing import measure
+from petkin_bench.product import beside_product
 
 Array = NDArray[np.float64]
 
@@ -45,36 +45,36 @@ def measure_reference(label: str, *, voxels: int) -> dict[str, object]:
     given = Given(FrameObservation(frames, 0.0), weights, reference=ReferenceCurve("reference", reference))
     read = np.ascontiguousarray(curves.T, np.float32).T
     method, choices = find_method(label), Choices(t_star=_T_STAR)
-    ours = measure(lambda: _fit(method, read, given, choices), 3)
     by_hand, product = _BASELINES[label]
     scene = (closed_form, reference, frames.duration, frames.mid >= _T_STAR, weights)
-    loop = measure(lambda: [by_hand(*scene, curve) for curve in curves[:_BY_HAND]], 1)
-    bare = measure(lambda: product(*scene, read), 3)
+    shared = {"scan_cpu_us": lambda: _shared(method, read, given, choices)} if method.share is not None else {}
+    row = beside_product(
+        label,
+        voxels,
+        lambda: _fit(method, read, given, choices),
+        lambda: [by_hand(*scene, curve) for curve in curves[:_BY_HAND]],
+        _BY_HAND,
+        lambda: product(*scene, read),
+        baseline="curve_fit by formula (SRTM) or lstsq a voxel, values only",
+        **shared,
+    )
     error = 100.0 * (_fit(method, read, given, choices)["BPND"] / truth[:, 2] - 1.0)
     bias = float(np.nanmedian(error))
-    return {
-        "fit": label,
-        "frames": 26,
-        "noise_percent": 5.0,
-        "voxels": voxels,
-        "voxels_per_s": voxels / ours.wall,
-        "cpu_us_per_voxel": 1e6 * ours.cpu / voxels,
-        "by_hand_cpu_us": 1e6 * loop.cpu / _BY_HAND,
-        "ratio_cpu": loop.cpu / _BY_HAND * voxels / ours.cpu,
-        "product_cpu_us": 1e6 * bare.cpu / voxels,
-        "outcome": "BPND",
-        "bias_percent": bias,
-        "spread_percent": 1.4826 * float(np.nanmedian(np.abs(error - bias))),
-        "baseline": "curve_fit by formula (SRTM) or lstsq a voxel, values only",
-    }
+    spread = 1.4826 * float(np.nanmedian(np.abs(error - bias)))
+    return row | {"outcome": "BPND", "bias_percent": bias, "spread_percent": spread}
 
 
 def _fit(method: Method, curves: NDArray[np.float32], given: Given, choices: Choices) -> FitResult:
     """As a study fits voxels: what they share is estimated from a sample of them first."""
-    if method.share is not None:
-        shared = method.share(curves[:: max(1, len(curves) // _SAMPLE)], given, choices, True)
-        choices = replace(choices, fixed={symbol: value for symbol, (value, _) in shared.items()})
-    return method.fit(curves, given, choices, True)
+    return method.fit(curves, given, _shared(method, curves, given, choices), True)
+
+
+def _shared(method: Method, curves: NDArray[np.float32], given: Given, choices: Choices) -> Choices:
+    """Choices with what the voxels of a scan share, once a scan whatever their number."""
+    if method.share is None:
+        return choices
+    shared = method.share(curves[:: max(1, len(curves) // _SAMPLE)], given, choices, True)
+    return replace(choices, fixed={symbol: value for symbol, (value, _) in shared.items()})
 
 
 def _frames() -> tuple[ClosedForm, FrameSchedule]:

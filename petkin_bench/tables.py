@@ -34,8 +34,8 @@ def print_speed(rows: Sequence[Row]) -> None:
     console = Console()
     console = Console(width=max(console.width, _WIDTH))
     table = _table(
-        "Processor time a voxel with standard errors, voxels/s by the clock; percent within 0.1 / 1 % of the best; "
-        "median error +- robust spread, percent"
+        "Processor time a voxel with standard errors on one thread, voxels/s by the clock on all; "
+        "percent within 0.1 / 1 % of the best; median error +- robust spread, percent"
     )
     for name in _COLUMNS:
         table.add_column(name, justify="right")
@@ -122,6 +122,11 @@ def _remarks(rows: Sequence[Row]) -> list[str]:
                 f"{row['fit']}: {ours} us a voxel; numpy that delivers the same estimates, residuals, errors and "
                 f"finite curves takes {same}, the bare product (two unknowns, nothing else) {bare}."
             )
+        if "scan_cpu_us" in row:
+            lines.append(
+                f"{row['fit']}: of its {_number(row, 'cpu_us_per_voxel', '.2f')} us a voxel, "
+                f"{_number(row, 'scan_cpu_us', '.2f')} are for what a scan shares, whatever the number of its voxels."
+            )
         if "wall_over_files" in row:
             whole, read, fit, write = (_number(row, key, ".2f") for key in ("wall_s", "read_s", "fit_s", "write_s"))
             lines.append(
@@ -129,10 +134,11 @@ def _remarks(rows: Sequence[Row]) -> list[str]:
                 f"fit {fit} s, writing the maps {write} s: {_number(row, 'wall_over_files', '.1f')} x the files alone."
             )
         if "first_run_s" in row:
-            wall, first, text = (_number(row, key, ".1f") for key in ("wall_s", "first_run_s", "help_s"))
+            keys = ("computing_after_s", "wall_s", "first_run_s", "help_s")
+            computing, wall, first, text = (_number(row, key, ".1f") for key in keys)
             lines.append(
-                f"Start: a fresh process has fitted and written {row['voxels']} voxels after {wall} s, the first time, "
-                f"when it compiles, after {first} s; --help takes {text} s."
+                f"Start: a fresh process computes after {computing} s, has fitted and written {row['voxels']} voxels after "
+                f"{wall} s, the first time, when it compiles, after {first} s; --help takes {text} s."
             )
     return lines
 

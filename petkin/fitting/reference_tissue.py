@@ -32,8 +32,8 @@ from petkin.fitting.table import RATE_OFFSET, Compression, build_table, compress
 
 Array = NDArray[np.float64]
 
-#: Values of k2' tried before the minimum is polished.
-_TRIED = 24
+#: Values of k2' tried before the minimum is polished, on about so many of the curves: which of them is best takes few.
+_TRIED, _FEW = 24, 1000
 #: Step in ln k2' for the curvature of the cost.
 _STEP = 0.02
 
@@ -99,20 +99,20 @@ def shared_k2prime(
         variance that the cost at the minimum tells.
     """
     z, sizes, _, used = project_curves(packed, weights, frames_first(np.asarray(curves)), 0, len(curves))
-    z, sizes = np.ascontiguousarray(z[:, used]), sizes[used]
+    z, sizes = z[:, used], sizes[used]
 
-    def cost(log_rate: float) -> float:
+    def cost(log_rate: float, step: int = 1) -> float:
         tables = one_rate_tables(with_known_k2prime(packed, float(np.exp(log_rate))), SINGLE, axis=False)
+        some, their_sizes = z[:, ::step], sizes[::step]
 
         def of(rows: slice) -> float:
-            z_here = np.ascontiguousarray(z[:, rows])
-            return float(search_one_rate(tables, z_here, sizes[rows])[COST].sum())
+            return float(search_one_rate(tables, np.ascontiguousarray(some[:, rows]), their_sizes[rows])[COST].sum())
 
-        return sum(in_parts(of, len(sizes)))
+        return sum(in_parts(of, len(their_sizes)))
 
     slowest, fastest = np.log(packed.rates[[0, -1]])
     tried = np.linspace(slowest, fastest, _TRIED)
-    best = int(np.argmin([cost(x) for x in tried]))
+    best = int(np.argmin([cost(x, step=max(1, len(sizes) // _FEW)) for x in tried]))
     around = tried[max(best - 1, 0)], tried[min(best + 1, _TRIED - 1)]
     from scipy.optimize import minimize_scalar
 

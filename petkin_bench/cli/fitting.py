@@ -20,8 +20,8 @@ def speed_fit(
 ) -> None:
     """Voxel fits with standard errors against scipy's curve_fit, in the same run, with the quality of both.
 
-    A ratio is processor time by hand over processor time of petkin, a voxel. Quality is judged on the curves that are
-    fitted by hand. Rows are appended to petkin_bench/results/speed_fit.csv, and with --data to accuracy.csv.
+    A ratio is processor time by hand over processor time of petkin, a voxel, one thread each. Quality is judged on the
+    curves that are fitted by hand. Rows go to petkin_bench/results/speed_fit.csv, and with --data to accuracy.csv.
     """
     import numba
 

@@ -137,8 +137,8 @@ def _remarks(rows: Sequence[Row]) -> list[str]:
             keys = ("computing_after_s", "wall_s", "first_run_s", "help_s")
             computing, wall, first, text = (_number(row, key, ".1f") for key in keys)
             lines.append(
-                f"Start: a fresh process computes after {computing} s, has fitted and written {row['voxels']} voxels after "
-                f"{wall} s, the first time, when it compiles, after {first} s; --help takes {text} s."
+                f"Start: a fresh process computes after {computing} s and has fitted {row['voxels']} voxels and "
+                f"written maps after {wall} s, the first time, compiling, after {first} s; --help takes {text} s."
             )
     return lines
 

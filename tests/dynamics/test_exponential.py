@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from petkin.dynamics import exp_divided_difference
-from petkin.dynamics.exponential import _recurse
+from petkin.dynamics.on_tensors import _recurse
 
 KINDS = ("apart", "equal", "nearly equal", "partly equal", "two zeros")
 

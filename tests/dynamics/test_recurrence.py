@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from petkin.dynamics.recurrence import _doubling, linear_recurrence
+from petkin.dynamics.on_tensors import _doubling
+from petkin.dynamics.recurrence import linear_recurrence
 
 D = torch.float64
 

@@ -40,7 +40,8 @@ class RegriddedInput:
     def integral(self, t: Tensor, decay: float = 0.0) -> Tensor:
         return PiecewiseLinear(self.knots, self.values).integral(t, decay)
 
-    def response(self, rates: Tensor, t: Tensor) -> Tensor:
+    def response(self, rates: Tensor | Array, t: Tensor | Array) -> Tensor:
+        t = torch.as_tensor(t)
         below = (t / self.step).floor().long().clamp(0, len(self.values) - 2)
         share = t / self.step - below
         stops, place = torch.unique(torch.stack([below, below + 1]), return_inverse=True)

@@ -61,11 +61,11 @@ def test_manual_samples_alone_recover_all_but_the_peak(laboratory):
     found = from_blood(laboratory.manual(), scan_end=90.0)
     truth = laboratory.area(laboratory.plasma, 90.0, 2.0)
     assert found.area(90.0) - found.area(2.0) == pytest.approx(truth, rel=5e-3)
-    assert found.plasma.knots.numel() < 400
+    assert found.plasma.knots.size < 400
 
 
 def test_the_knots_are_few_and_the_pieces_true(laboratory, noise_free):
-    assert noise_free.plasma.knots.numel() < 800
+    assert noise_free.plasma.knots.size < 800
     t = np.linspace(0, 92, 9173)
     product = _at(noise_free.total_plasma, *t) * noise_free.parent_fraction_fit(t)
     np.testing.assert_allclose(_at(noise_free.plasma, *t), product, rtol=1e-3, atol=1e-3)

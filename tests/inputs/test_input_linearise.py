@@ -20,7 +20,7 @@ def test_pieces_stay_within_tolerance_with_few_knots(tolerance):
     forcing = piecewise_linear(curve, np.array([0.0, 1.0, 90.0]), tolerance=tolerance)
     t = np.linspace(0, 90, 20001)
     assert np.abs(forcing(torch.as_tensor(t)).numpy() / curve(t) - 1).max() < 1.5 * tolerance
-    assert forcing.knots.numel() < 6 / np.sqrt(tolerance)
+    assert forcing.knots.size < 6 / np.sqrt(tolerance)
     assert float(forcing.integral(torch.tensor([90.0], dtype=torch.float64))) == pytest.approx(
         np.trapezoid(curve(t), t), rel=2 * tolerance
     )

@@ -77,7 +77,7 @@ def estimates(scan: Scan, label: str) -> dict[str, np.ndarray]:
     curves = scan.curves[list(scan.best.region)].to_numpy().T
     groups = [(curves, scan.weights)]
     if label == "Logan":
-        blood = observation.of_forcing(arterial.whole_blood).numpy()
+        blood = np.asarray(observation.of_forcing(arterial.whole_blood))
         tissue = np.maximum((curves - VB * blood) / (1.0 - VB), 1e-2)
         groups = [(c[None], (scan.weights > 0) / t**2) for c, t in zip(curves, tissue)]
     results = [find_method(label).fit(c, Given(observation, w, arterial), choices, True) for c, w in groups]

@@ -269,22 +269,23 @@ class Shifted:
         return self._spread(self.forcing, t)
 
     def integral(self, t: Array, decay: float = 0.0) -> Any:
-        return self._sunk(t, decay) * self._spread(lambda s: self.forcing.integral(s, decay), t)
+        return self._sunk(self._spread(lambda s: self.forcing.integral(s, decay), t), decay)
 
     def response(self, rates: Array, t: Array) -> Any:
         return self._spread(lambda s: self.forcing.response(rates, s), t)
 
     def response_integral(self, rates: Array, t: Array, decay: float = 0.0) -> Any:
-        return self._sunk(t, decay) * self._spread(lambda s: self.forcing.response_integral(rates, s, decay), t)
+        return self._sunk(self._spread(lambda s: self.forcing.response_integral(rates, s, decay), t), decay)
 
-    def _beside(self, t: Array) -> tuple[Any, Any]:
-        """Times, and the delay or a column of delays, both arrays or both tensors."""
-        t, delay = alike(t, self.delay)
-        return t, delay[..., None]
+    def _beside(self, numbers: Array) -> tuple[Any, Any]:
+        """Numbers along times, and the delay or a column of delays, both arrays or both tensors."""
+        numbers, delay = alike(numbers, self.delay)
+        return numbers, delay[..., None]
 
-    def _sunk(self, t: Array, decay: float) -> Any:
-        t, delay = self._beside(t)
-        return library(t).exp(-decay * delay)
+    def _sunk(self, values: Array, decay: float) -> Any:
+        """Integrals that decay from injection on, of a forcing that starts later."""
+        values, delay = self._beside(values)
+        return library(values).exp(-decay * delay) * values
 
     def _spread(self, read: Callable[[Any], Any], t: Array) -> Any:
         t, delay = self._beside(t)

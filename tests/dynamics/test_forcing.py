@@ -281,3 +281,27 @@ def test_what_cannot_be_used_is_refused() -> None:
         PiecewiseLinear(torch.tensor([0.0, 2.0, 1.0]), torch.zeros(3))
     with pytest.raises(InputError, match="one coefficient, exponent and power"):
         ExponentialSum(torch.zeros(2), torch.zeros(2), (0,))
+
+
+@pytest.mark.parametrize("delay", [None, 2.3, (-0.4, 0.0, 7.5)], ids=["at once", "late", "delays"])
+def test_arrays_give_arrays_and_one_tensor_makes_tensors(delay) -> None:
+    """A forcing of arrays, of tensors, and either asked with the other kind of times and rates: the same numbers."""
+    decay, held = 0.03, PiecewiseLinear(np.array(KNOTS), np.array(LEVELS))
+    t, rates = TIMES.numpy(), RATES.numpy()
+
+    def asked(forcing: Forcing, t, rates) -> list:
+        found = [forcing(t), forcing.integral(t), forcing.integral(t, decay), forcing.knots]
+        return [*found, forcing.response(rates, t), forcing.response_integral(rates, t, decay)]
+
+    def shifted(forcing: Forcing, kind) -> Forcing:
+        return forcing if delay is None else Shifted(forcing, delay if isinstance(delay, float) else kind(delay))
+
+    arrays = asked(shifted(held, np.array), t, rates)
+    assert all(isinstance(found, np.ndarray) for found in arrays)
+    tensors = asked(shifted(held.tensors, lambda d: torch.tensor(d, dtype=D)), TIMES, RATES)
+    mixed = asked(shifted(held, np.array), TIMES, RATES), asked(shifted(held.tensors, np.array), t, rates)
+    for others in (tensors, *mixed):
+        for i, (array, other) in enumerate(zip(arrays, others)):
+            assert isinstance(other, torch.Tensor) or i == 3
+            np.testing.assert_allclose(np.asarray(other), array, rtol=1e-13, atol=1e-13)
+    assert all(isinstance(found, torch.Tensor) for found in tensors)

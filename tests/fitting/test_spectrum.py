@@ -71,22 +71,22 @@ def test_the_solver_meets_the_conditions_of_an_optimum():
     assert (np.abs(lean) * (x > 0) <= 1e-9 * size).all()
 
 
-@pytest.mark.parametrize("draws", [200, 16])
-def test_intervals_hold_the_truth(draws):
-    """One tissue, 2 percent noise, 400 curves: 90 percent intervals hold it in 90 to 99 percent, on the safe side.
+@pytest.mark.parametrize(("draws", "most", "ratio"), [(200, 97.0, (0.75, 1.4)), (16, 99.0, (0.6, 2.0))])
+def test_intervals_hold_the_truth(draws, most, ratio):
+    """One tissue, 2 percent noise, 600 curves: 90 percent intervals hold it in 87 to 97 percent.
 
-    The refits start from curves that hold a component or two of noise already, so they scatter more than the fits.
+    The error is that of a normal distribution with as wide a 90 percent interval as the estimates have. All curves have
+    the same draws, and 16 of them know it to a third.
     """
     truth = np.array([[0.15, 0.1, 0.05]])
     clean = frame_averages("1TCM", truth)
     sd = counting_sd(clean, 0.02)[0]
-    curves = clean + sd * np.random.default_rng(2).standard_normal((400, len(FRAMES)))
+    curves = clean + sd * np.random.default_rng(2).standard_normal((600, len(FRAMES)))
     result = fit_spectrum(curves, ARTERIAL, PLAIN, 1.0 / sd**2, SpectrumSettings(RATES, draws))
-    for symbol, known in (("K1", 0.15), ("VT", 1.5)):
-        assert coverage(result, symbol, known, 42) > 87.0
-        low, high = np.quantile(result[symbol], [0.16, 0.84])
-        scatter = 50.0 * (high - low) / known
-        assert 0.9 * scatter < np.median(result.percent_se(symbol)) < 2.5 * scatter
+    for symbol, known in (("K1", 0.15), ("VT", 1.5), ("vB", 0.05)):
+        assert 87.0 < coverage(result, symbol, known, 42) < most
+        away = np.quantile(np.abs(result[symbol] / known - 1.0), 0.9)
+        assert ratio[0] < np.median(result.percent_se(symbol)) / (100.0 * away / 1.645) < ratio[1]
     assert np.median(result["VT"]) == pytest.approx(1.5, rel=0.02)
 
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import NDArray
 
 from petkin.dynamics.arrays import alike, library
 from petkin.dynamics.exponential import exp_divided_difference
@@ -27,7 +26,8 @@ from petkin.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
-    Array = NDArray[np.float64] | Tensor
+#: Of numpy or of torch.
+Array = Any
 
 
 @runtime_checkable

@@ -239,7 +239,7 @@ class ExponentialSum:
     def _terms(self) -> list[tuple[Tensor, Tensor, int]]:
         return [(self.coefficients[..., j, None], self.exponents[..., j, None], n) for j, n in enumerate(self.powers)]
 
-    def _chain(self, elapsed: Tensor, poles: tuple[Tensor | float, ...], decay: float) -> Tensor:
+    def _chain(self, elapsed: Tensor, poles: tuple[Tensor | float, ...], decay: float) -> Any:
         parts = [
             c * math.factorial(n) * exp_divided_difference((*poles, *([e - decay] * (n + 1))), elapsed)
             for c, e, n in self._terms()

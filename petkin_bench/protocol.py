@@ -77,13 +77,13 @@ PRESETS = (
         True,
         {
             "": _CPU,
-            "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5),
+            "mass_spring": Settings(steps=4000, horizon=6, curriculum=0.5, axes=10),
             "double_pendulum": Settings(steps=5000, horizon=10, curriculum=0.3, norm=3e-5),
             "bouncing_ball": Settings(steps=4000, axes=10),
             "rigid_body": Settings(steps=3000, glimpse=8, norm=3e-5),
         },
         others={"bouncing_ball": "moments_straight"},
-        refined=("mass_spring", "bouncing_ball"),
+        refined=("bouncing_ball",),
     ),
     Preset(
         "paper",

@@ -83,7 +83,7 @@ PRESETS = (
             "rigid_body": Settings(steps=3000, glimpse=8, norm=3e-5),
         },
         others={"bouncing_ball": "moments_straight"},
-        refined=("bouncing_ball",),
+        refined=("pendulum", "mass_spring", "bouncing_ball", "rigid_body", "double_pendulum"),
     ),
     Preset(
         "paper",

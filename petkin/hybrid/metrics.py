@@ -19,8 +19,8 @@ from petkin.hybrid.refine import refine
 from petkin.hybrid.strategies import Strategy
 
 VALID = 0.025
-#: Dynamics that are refined side by side.
-_TOGETHER = 8
+#: Numbers of observations that are refined side by side, and steps at most.
+_TOGETHER, _STEPS = 1 << 25, 6
 
 
 def valid_share(exceeded: Bool[Tensor, "*b T"]) -> Float[Tensor, "*b"]:
@@ -78,15 +78,16 @@ def measure_refined(
     """
     was, _ = model.training, model.eval()
     rows = []
-    for part in _parts(data, _TOGETHER, model.device):
+    size = model.task.emission.observe(data.states[0, 0].to(model.device)).numel() * data.series
+    for part in _parts(data, max(1, _TOGETHER // size), model.device):
         observed = model.task.emission.observe(part.states)
         said = model.encode(observed)
         context = Encoded(said.initial[:, :k], said.physics[:, :k], said.code[:, :k])
-        learned = refine(model, context, observed[:, :k]).found
+        learned = refine(model, context, observed[:, :k], steps=_STEPS).found
         count = data.series - k
         physics_found, code = (x[:, :1].expand(-1, count, -1) for x in (learned.physics, learned.code))
         others = Encoded(said.initial[:, k:], physics_found, code)
-        found = refine(model, others, observed[:, k:, :first], dynamics=False).found
+        found = refine(model, others, observed[:, k:, :first], steps=_STEPS, dynamics=False).found
         rows += [_score(model, found, Dataset(part.states[:, k:], part.truth), data, physics)] * part.dynamics
     model.train(was)
     return _means(rows)

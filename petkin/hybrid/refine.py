@@ -1,21 +1,24 @@
 """From what the encoders say at once to what fits best: Levenberg-Marquardt on z(0), c_p and c_n of observed series.
 
-    (J^T J + lambda diag(J^T J)) move = J^T (observed - predicted)
+    (J^T J + lambda diag(J^T J)) move = J^T (observed - predicted),    J_t = O_t S_t
 
-The weights of f_NN follow c_n through the hypernetwork, so what is searched is small, and known dynamics stay near. J
-comes from forward differentiation: a pass for every component of z(0), c_p and c_n, all series at once.
+The weights of f_NN follow c_n through the hypernetwork, so what is searched is small, and known dynamics stay near. An
+observation at t shows z(t) alone, so J need not be made: S_t, what z(t) owes to z(0), c_p and c_n, and O_t, what is
+seen of z(t), come from forward differentiation, each in one pass for all series, and of the pictures only O_t^T O_t
+and O_t^T (observed - predicted) are kept.
 
 Reference: Marquardt DW. SIAM J Appl Math 1963;11:431-441.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import jvp
+from torch.func import jvp, vmap
 
 from petkin.hybrid.model import Encoded, Identifier
 
@@ -24,6 +27,10 @@ _EDGE = 1e-3
 #: First damping; what a step that gains, or does not, makes of it; what keeps unseen components where they are.
 _DAMPING, _EASIER, _HARDER, _UNSEEN = 1e-2, 0.1, 10.0, 1e-7
 _TINY = 1e-30
+#: An error below this share of the observations' mean square is rounding.
+_ROUNDING = 1e-13
+#: Numbers of observations that are looked at together.
+_NUMBERS = 1 << 19
 #: A gain in squared error below which a set is done, and a damping at which it is given up.
 _SETTLED, _STUCK = 1e-2, 1e3
 
@@ -44,23 +51,78 @@ class Refined:
 
 @dataclass(frozen=True)
 class _Search:
-    """Sets of series as a function of moves [D, n, u], in units of `reach`, of logits in bounds, and of c_n."""
+    """Sets of series as a function of moves [*, D, n, u], in units of `reach`, of logits in bounds, and of c_n."""
 
     model: Identifier
     start: Encoded
     observed: Float[Tensor, "D n F ..."]
 
-    def moved(self, moves: Float[Tensor, "D n u"]) -> Encoded:
+    @property
+    def free(self) -> int:
+        """Components of z(0) that are searched: those that are not held."""
+        return int((self.model.task.reach != 0).sum())
+
+    @property
+    def bounded(self) -> int:
+        """Components of c_p."""
+        return self.start.physics.shape[-1]
+
+    def moved(self, moves: Float[Tensor, "*a D n u"]) -> Encoded:
         model, start = self.model, self.start
-        sizes = (start.initial.shape[-1], start.physics.shape[-1], start.code.shape[-1])
+        sizes = (self.free, self.bounded, start.code.shape[-1])
         initial, physics, code = moves.split(sizes, dim=-1)
+        reach = torch.diag(model.task.reach)[model.task.reach != 0]
         share = ((start.physics - model.lower) / model.span).clamp(_EDGE, 1.0 - _EDGE)
         inside = model.lower + model.span * torch.sigmoid(torch.logit(share) + physics)
-        return Encoded(start.initial + model.task.reach * initial, inside, start.code + code)
+        return Encoded(start.initial + initial @ reach, inside, start.code + code)
 
-    def off(self, found: Encoded) -> Float[Tensor, "D n o"]:
-        predicted = self.model.predict(found, self.model.task.times[: self.observed.shape[2]])
-        return (self.observed - self.model.observe(found, predicted)).flatten(2)
+    def told(self, found: Encoded) -> Float[Tensor, "*a D n F y"]:
+        """Predicted states, and beside them c_p, which a decoder may see."""
+        states = self.model.predict(found, self.model.task.times[: self.observed.shape[2]])
+        return torch.cat([states, found.physics[..., None, :].expand(*states.shape[:-1], -1)], dim=-1)
+
+    def error(self, found: Encoded) -> Float[Tensor, " D"]:
+        """Mean squared error of the observations of a set."""
+        told, seen = self.told(found).flatten(0, 2), self.observed.flatten(0, 2)
+        off = [(o - self.observe(t)).square().flatten(1).mean(dim=1) for t, o in self.parts(told, seen)]
+        return torch.cat(off).unflatten(0, self.observed.shape[:3]).mean(dim=(1, 2))
+
+    def observe(self, told: Float[Tensor, "*a N y"]) -> Tensor:
+        """What is observed of states, each by itself."""
+        states, physics = told.split((len(self.model.task.states), self.bounded), dim=-1)
+        found = Encoded(states, physics, self.start.code[:0])
+        return self.model.observe(found, states[..., None, :]).squeeze(told.ndim - 1)
+
+    def parts(self, *tensors: Tensor) -> Iterator[tuple[Tensor, ...]]:
+        """The same few rows of all, so that the pictures of one time fit into the cache."""
+        size = max(1, _NUMBERS // self.observed[0, 0, 0].numel())
+        return zip(*(tensor.split(size) for tensor in tensors))
+
+    @property
+    def shown(self) -> list[int]:
+        """What of `told` an observation shows."""
+        task = self.model.task
+        return (
+            list(task.seen) if task.seen and self.model.decoder is None else [*range(len(task.states) + self.bounded)]
+        )
+
+    def slopes(self, moves: Float[Tensor, "D n v"], units: int) -> Float[Tensor, "u D n F s"]:
+        """What is shown owes so much to each of the first components of the moves."""
+        ways = torch.eye(moves.shape[-1], dtype=moves.dtype, device=moves.device)[:units, None, None]
+        ways, many = (x.expand(units, *moves.shape).contiguous() for x in (ways, moves))
+        return jvp(lambda m: self.told(self.moved(m))[..., self.shown], (many,), (ways,))[1]
+
+    def sight(self, moves: Float[Tensor, "D n v"]) -> tuple[Tensor, Tensor]:
+        """O_t^T O_t [D, n, F, s, s] and O_t^T (observed - predicted) [D, n, F, s], a number of an observation."""
+        told = self.told(self.moved(moves))
+        ways = torch.eye(told.shape[-1], dtype=told.dtype, device=told.device)[self.shown]
+        curve, slope = [], []
+        for at, seen in self.parts(told.flatten(0, 2), self.observed.flatten(0, 2)):
+            change = vmap(lambda way: jvp(self.observe, (at,), (way.expand_as(at),))[1])(ways)  # noqa: B023
+            change, off = change.flatten(2).movedim(0, 1), (seen - self.observe(at)).flatten(1)
+            curve.append(change @ change.mT / off.shape[1])
+            slope.append((change @ off[..., None])[..., 0] / off.shape[1])
+        return tuple(torch.cat(x).unflatten(0, told.shape[:3]) for x in (curve, slope))  # type: ignore[return-value]
 
 
 @torch.no_grad()
@@ -83,42 +145,34 @@ def refine(
     """
     best = _shared(model, said) if dynamics else said
     search = _Search(model, best, observed)
-    free = search.start.initial.shape[-1]
-    shared = search.start.physics.shape[-1] + search.start.code.shape[-1]
-    moves = observed.new_zeros(*observed.shape[:2], free + shared)
-    off = search.off(best)
-    before = least = off.square().mean(dim=(1, 2))
+    shared = search.bounded + best.code.shape[-1]
+    moves = observed.new_zeros(*observed.shape[:2], search.free + shared)
+    before = least = search.error(best)
+    exact = _ROUNDING * observed.square().flatten(1).mean(dim=1)
     damping = torch.full_like(before, _DAMPING)
     for _ in range(steps):
-        slopes = _slopes(search, moves, free + dynamics * shared)
-        tried = moves + torch.nn.functional.pad(_step(slopes, off, free, damping), (0, (not dynamics) * shared))
+        move = _step(search, moves, search.free + dynamics * shared, damping)
+        tried = moves + torch.nn.functional.pad(move, (0, (not dynamics) * shared))
         found = search.moved(tried)
-        now = search.off(found)
-        error = now.square().mean(dim=(1, 2))
+        error = search.error(found)
         better, gain = error < least, 1.0 - error / least
         best, least = _choose(better, found, best), torch.where(better, error, least)
-        moves, off = (torch.where(better[:, None, None], a, b) for a, b in ((tried, moves), (now, off)))
+        moves = torch.where(better[:, None, None], tried, moves)
         damping = damping * torch.where(better, _EASIER, _HARDER)
-        if bool(torch.where(better, gain < _SETTLED, damping > _STUCK).all()):
+        if bool((torch.where(better, gain < _SETTLED, damping > _STUCK) | (least < exact)).all()):
             break
     return Refined(best, before, least)
 
 
-def _slopes(search: _Search, moves: Float[Tensor, "D n v"], units: int) -> Float[Tensor, "u D n o"]:
-    """How what is predicted changes with a component of the moves of every series."""
-    directions = torch.eye(moves.shape[-1], dtype=moves.dtype, device=moves.device)[:units]
-    return torch.stack(
-        [-jvp(lambda m: search.off(search.moved(m)), (moves,), (u.expand_as(moves),))[1] for u in directions]
-    )
-
-
 def _step(
-    slopes: Float[Tensor, "u D n o"], off: Float[Tensor, "D n o"], free: int, damping: Float[Tensor, " D"]
+    search: _Search, moves: Float[Tensor, "D n v"], units: int, damping: Float[Tensor, " D"]
 ) -> Float[Tensor, "D n u"]:
     """The move of every series: its own of z(0), and one of what the set shares."""
-    units, _, count, _ = slopes.shape
-    curve = torch.einsum("udno,vdno->dnuv", slopes, slopes).double()
-    slope = torch.einsum("udno,dno->dnu", slopes, off).double()
+    seen, pull = search.sight(moves)
+    slopes, free, count = search.slopes(moves, units), search.free, moves.shape[1]
+    turned = torch.einsum("udnfs,dnfst->udnft", slopes, seen)
+    curve = torch.einsum("udnfs,vdnfs->dnuv", turned, slopes).double()
+    slope = torch.einsum("udnfs,dnfs->dnu", slopes, pull).double()
     own = torch.arange(count * free).reshape(count, free)
     places = torch.cat([own, torch.arange(units - free).expand(count, -1) + count * free], dim=-1)
     size = count * free + units - free
@@ -128,7 +182,7 @@ def _step(
         right[:, place] += slope[:, i]
     scale = matrix.diagonal(dim1=1, dim2=2)
     damped = damping[:, None].double() * scale + _UNSEEN * scale.amax(dim=1, keepdim=True) + _TINY
-    return torch.linalg.solve(matrix + torch.diag_embed(damped), right)[:, places].to(off)
+    return torch.linalg.solve(matrix + torch.diag_embed(damped), right)[:, places].to(slopes)
 
 
 def _shared(model: Identifier, said: Encoded) -> Encoded:

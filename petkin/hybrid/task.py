@@ -20,7 +20,7 @@ class Emission(Protocol):
     """What is observed of a trajectory: images, frame means, the states themselves."""
 
     def observe(self, states: Float[Tensor, "*b T d"], /) -> Tensor:
-        """Observations [*b, T, ...], differentiable."""
+        """Observations [*b, T, ...], differentiable; that at a time shows the state at that time alone."""
         ...
 
     def squared_error(

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pandas as pd
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from petkin_bench.learning_tables import PUBLISHED
+from petkin_bench.learning_tables import PUBLISHED, short
 from petkin_bench.pet import FILE
 
 _METRICS = ("mse_z", "mse_x", "psnr_x")
@@ -48,15 +49,17 @@ def print_pet(results: Path, preset: str) -> None:
     found = compare_pet(results, preset)
     if found.empty:
         return
-    table = Table(title="pet (ours / published = ratio); noise in percent, train and test", title_justify="left")
-    for name in ("model", "noise", "split", "told by", "seeds", "cpu s", *_METRICS):
+    console, table = Console(), Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for name in ("", "noise", "split", "told by"):
         table.add_column(name, no_wrap=True)
+    for name in ("n", "CPU s", "MSE z", "paper", "PSNR", "paper"):
+        table.add_column(name, justify="right", no_wrap=True)
     for row in found.to_dict("records"):
-        names = f"{row['model']} {row['sees']}".strip(), f"{row['noise_train']:g}, {row['noise_test']:g}"
-        cells = [_cell(row[m], row[f"{m}_published"]) for m in _METRICS]
-        table.add_row(*names, row["split"], row["test"], str(row["seeds"]), f"{float(row['cpu_s']):.0f}", *cells)
-    Console().print(table)
-
-
-def _cell(ours: float, published: float) -> str:
-    return f"{ours:.3g}" if pd.isna(published) else f"{ours:.3g} / {published:.3g} = {ours / published:.2f}"
+        model = f"{str(row['model']).removesuffix('_hylad').replace('_', ' ')} {row['sees']}".strip()
+        noise = f"{row['noise_train']:g}, {row['noise_test']:g}"
+        figures = short(row["cpu_s"]), short(row["mse_z"]) or "nan", short(row["mse_z_published"])
+        peaks = (f"{row[name]:.1f}" for name in ("psnr_x", "psnr_x_published"))
+        cells = (*figures, *peaks) if row["psnr_x_published"] > 0 else (*figures, next(peaks))
+        table.add_row(model, noise, row["split"], row["test"], str(row["seeds"]), *cells)
+    console.print("pet: states C_T and PSNR of pictures (dB); noise in percent, train and test")
+    console.print(table)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.func import jvp, vmap
 
@@ -28,7 +28,7 @@ _EDGE = 1e-3
 _DAMPING, _EASIER, _HARDER, _UNSEEN = 1e-2, 0.1, 10.0, 1e-7
 _TINY = 1e-30
 #: An error below this share of the observations' mean square is rounding.
-_ROUNDING = 1e-13
+_ROUNDING = 1e-12
 #: Numbers of observations that are looked at together.
 _NUMBERS = 1 << 19
 #: A gain in squared error below which a set is done, and a damping at which it is given up.
@@ -56,6 +56,11 @@ class _Search:
     model: Identifier
     start: Encoded
     observed: Float[Tensor, "D n F ..."]
+
+    def only(self, sets: Int[Tensor, " E"]) -> _Search:
+        """Some of the sets."""
+        start = (x[sets] for x in (self.start.initial, self.start.physics, self.start.code))
+        return _Search(self.model, Encoded(*start), self.observed[sets])
 
     @property
     def free(self) -> int:
@@ -143,31 +148,33 @@ def refine(
         steps: tried at most; the best point of every set is kept.
         dynamics: find one c_p and c_n a set too; else z(0) alone, and series keep the c_p and c_n they come with.
     """
-    best = _shared(model, said) if dynamics else said
-    search = _Search(model, best, observed)
-    shared = search.bounded + best.code.shape[-1]
-    moves = observed.new_zeros(*observed.shape[:2], search.free + shared)
-    before = least = search.error(best)
+    start = _shared(model, said) if dynamics else said
+    search = _Search(model, start, observed)
+    units = search.free + dynamics * (search.bounded + start.code.shape[-1])
+    moves = observed.new_zeros(*observed.shape[:2], search.free + search.bounded + start.code.shape[-1])
+    before = search.error(start)
+    least, damping = before.clone(), torch.full_like(before, _DAMPING)
     exact = _ROUNDING * observed.square().flatten(1).mean(dim=1)
-    damping = torch.full_like(before, _DAMPING)
+    done = least < exact
     for _ in range(steps):
-        move = _step(search, moves, search.free + dynamics * shared, damping)
-        tried = moves + torch.nn.functional.pad(move, (0, (not dynamics) * shared))
-        found = search.moved(tried)
-        error = search.error(found)
-        better, gain = error < least, 1.0 - error / least
-        best, least = _choose(better, found, best), torch.where(better, error, least)
-        moves = torch.where(better[:, None, None], tried, moves)
-        damping = damping * torch.where(better, _EASIER, _HARDER)
-        if bool((torch.where(better, gain < _SETTLED, damping > _STUCK) | (least < exact)).all()):
+        at = torch.nonzero(~done)[:, 0]
+        if not len(at):
             break
-    return Refined(best, before, least)
+        part = search.only(at)
+        tried = moves[at] + _step(part, moves[at], units, damping[at])
+        error = part.error(part.moved(tried))
+        better, settled = error < least[at], (error > (1.0 - _SETTLED) * least[at]) & (damping[at] <= _DAMPING)
+        moves[at] = torch.where(better[:, None, None], tried, moves[at])
+        least[at] = torch.where(better, error, least[at])
+        damping[at] *= torch.where(better, _EASIER, _HARDER)
+        done[at] = torch.where(better, settled | (error < exact[at]), damping[at] > _STUCK)
+    return Refined(_choose(least < before, search.moved(moves), start), before, least)
 
 
 def _step(
     search: _Search, moves: Float[Tensor, "D n v"], units: int, damping: Float[Tensor, " D"]
-) -> Float[Tensor, "D n u"]:
-    """The move of every series: its own of z(0), and one of what the set shares."""
+) -> Float[Tensor, "D n v"]:
+    """The move of every series: its own of z(0), and one of what the set shares; no further than `units`."""
     seen, pull = search.sight(moves)
     slopes, free, count = search.slopes(moves, units), search.free, moves.shape[1]
     turned = torch.einsum("udnfs,dnfst->udnft", slopes, seen)
@@ -182,7 +189,8 @@ def _step(
         right[:, place] += slope[:, i]
     scale = matrix.diagonal(dim1=1, dim2=2)
     damped = damping[:, None].double() * scale + _UNSEEN * scale.amax(dim=1, keepdim=True) + _TINY
-    return torch.linalg.solve(matrix + torch.diag_embed(damped), right)[:, places].to(slopes)
+    found = torch.linalg.solve(matrix + torch.diag_embed(damped), right)[:, places].to(slopes)
+    return torch.nn.functional.pad(found, (0, moves.shape[-1] - units))
 
 
 def _shared(model: Identifier, said: Encoded) -> Encoded:

@@ -12,7 +12,7 @@ from petkin.errors import InputError
 from petkin.hybrid import save_tensors
 from petkin_bench.cli import app
 from petkin_bench.decoding import DECODERS
-from petkin_bench.learning_tables import PUBLISHED, compare
+from petkin_bench.learning_tables import PUBLISHED, compare, short
 from petkin_bench.pictures import write_pictures
 from petkin_bench.protocol import PRESETS, build, find_preset, jobs
 from petkin_bench.systems import DYNAMICS, SYSTEMS
@@ -33,8 +33,15 @@ def test_a_table_is_run_once_and_compared(tmp_path):
     found = compare(tmp_path, "tiny").query("variant == 'physics_decoder'").set_index(["split", "metric"])
     assert found.loc[("ID", "mse_z"), "published"] == pytest.approx(0.1309)
     assert found.loc[("ID", "mse_z"), "ratio"] == pytest.approx(rows["mse_z"][0] / 0.1309)
-    printed = CliRunner().invoke(app, ["tables", "--preset", "tiny", "--results", str(tmp_path)])
-    assert "hybrid: pendulum" in printed.output
+    printed = CliRunner(env={"COLUMNS": "80"}).invoke(app, ["tables", "--preset", "tiny", "--results", str(tmp_path)])
+    lines = printed.output.splitlines()
+    assert "hybrid: pendulum, MSE of states z" in lines
+    assert max(len(line) for line in lines) <= 80
+    at = next(i for i, line in enumerate(lines) if line.startswith(" purely physics"))
+    ours, refined = lines[at].split(), lines[at + 1].split()
+    assert ours[3:5] == [short(rows["mse_z"][0]), "0.13"]
+    assert refined[0] == "refined"
+    assert refined[2:4] == [short(rows["mse_z"][1]), "0.13"]
 
 
 def test_a_run_is_drawn_from_its_checkpoint(tmp_path):
@@ -96,6 +103,11 @@ def test_published_figures_are_the_papers():
     assert len(table) == 752
     chosen = table[(table["table"] == "pet") & (table["method"] == "meta_hylad") & (table["metric"] == "psnr_x")]
     assert chosen["mean"].tolist() == pytest.approx([56.4], abs=0.05)
+
+
+def test_a_figure_takes_two_digits_and_seven_letters():
+    told = [short(x) for x in (0.0, 0.0103, 0.00256, -3.2e-11, 57.66, 812.3, 9.9e5, float("nan"))]
+    assert told == ["0", "0.01", "2.6e-3", "-3.2e-11", "58", "812", "9.9e5", ""]
 
 
 def test_bad_names_are_one_line(tmp_path):

@@ -7,7 +7,18 @@ from dataclasses import replace
 import pytest
 import torch
 
-from petkin.hybrid import Encoded, Identifier, Settings, find_strategy, measure, measure_refined, refine, train
+from petkin.hybrid import (
+    Decoder,
+    Encoded,
+    Identifier,
+    Settings,
+    find_strategy,
+    measure,
+    measure_refined,
+    refine,
+    train,
+)
+from petkin.hybrid.refine import _Search, _step
 
 from .oscillator import data, make
 
@@ -72,3 +83,53 @@ def test_refined_dynamics_predict_other_series_better(model):
 def test_early_frames_suffice(model, said):
     found = refine(model, said, _UNSEEN.states[:, :, :5])
     assert bool((found.after < found.before).all())
+
+
+@pytest.mark.parametrize("dynamics", [True, False])
+def test_a_step_is_that_of_gauss_and_newton(model, said, dynamics):
+    """The move without damping against the least squares of the whole Jacobian of all observations."""
+    few = replace(said, initial=said.initial[:1, :2], physics=said.physics[:1, :2], code=said.code[:1, :2])
+    search = _Search(model, few, _UNSEEN.states[:1, :2])
+    moves = 0.1 * torch.randn(1, 2, 6, generator=torch.Generator().manual_seed(0))
+    units, free = 6 if dynamics else 2, 2
+
+    def off(own: torch.Tensor, shared: torch.Tensor) -> torch.Tensor:
+        at = moves + torch.cat([own, shared.expand(2, -1)], dim=-1)
+        return (search.observed - model.predict(search.moved(at)))[0].flatten()
+
+    none = torch.zeros(2, free), torch.zeros(4)
+    own, shared = torch.func.jacrev(off, argnums=(0, 1))(*none)
+    jacobian = torch.cat([own.flatten(1), shared], dim=1)[:, : None if dynamics else 2 * free]
+    damping = 1e-2
+    with torch.no_grad():
+        found = _step(search, moves, units, torch.tensor([damping]))[0]
+        curve = (jacobian.mT @ jacobian).double()
+        damped = curve + torch.diag(damping * curve.diagonal() + 1e-7 * curve.diagonal().max())
+        expected = torch.linalg.solve(damped, -(jacobian.mT @ off(*none)).double()).to(found)
+    torch.testing.assert_close(found[:, :free].flatten(), expected[: 2 * free], rtol=1e-3, atol=1e-5)
+    if dynamics:
+        torch.testing.assert_close(found[:, free:], expected[2 * free :].expand(2, -1), rtol=1e-3, atol=1e-5)
+    else:
+        assert not found[:, free:].any()
+
+
+def test_a_decoder_that_sees_c_p_and_a_start_that_is_held(model):
+    torch.manual_seed(0)
+    decoder = Decoder(lambda state, forcing, p: torch.cat([state, p], dim=-1).movedim(-1, 0), 3, (4,), widths=(8,))
+    held = replace(model.task, reach=torch.tensor([1.0, 0.0]))
+    drawn = Identifier(
+        held, model.context, model.first, code=3, generator=torch.Generator().manual_seed(0), decoder=decoder
+    )
+    with torch.no_grad():
+        said = drawn.encode(_UNSEEN.states)
+        observed = drawn.observe(said, _UNSEEN.states)
+        found = refine(drawn, said, observed)
+    assert bool((found.after < found.before).all())
+    assert torch.equal(found.found.initial[..., 1], said.initial[..., 1])
+
+
+def test_many_pictures_are_looked_at_in_parts(model, said, monkeypatch):
+    whole = refine(model, said, _UNSEEN.states, steps=3)
+    monkeypatch.setattr("petkin.hybrid.refine._NUMBERS", 20)
+    parts = refine(model, said, _UNSEEN.states, steps=3)
+    torch.testing.assert_close(parts.after, whole.after, rtol=1e-3, atol=1e-9)

@@ -69,7 +69,7 @@ def measure_refined(
 ) -> dict[str, float]:
     """The same metrics where c_p and c_n are refined on the first k series of each dynamics, and used for its others.
 
-    Of a series that is predicted only z(0) is refined, on what is seen of its first frames.
+    Of a series that is predicted only z(0) is refined, on what is seen of its first frames. Six steps at most.
 
     Args:
         model, data, physics: see `measure`.

@@ -113,7 +113,7 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
 def _table(part: pd.DataFrame) -> Table:
     """Models, each with what refining makes of it, in and out of distribution."""
     figures = {(f["method"], f["variant"], f["split"]): f for f in _records(part)}
-    columns = ("", "paper", "ratio") if part["published"].notna().any() else ("",)
+    columns = ("", "paper", "ratio") if any(pd.notna(f["published"]) for f in figures.values()) else ("",)
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", no_wrap=True)
     for column in ("n", *(name or split for split in _SPLITS[0] for name in columns)):

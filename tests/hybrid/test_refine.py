@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import pytest
@@ -130,6 +131,6 @@ def test_a_decoder_that_sees_c_p_and_a_start_that_is_held(model):
 
 def test_many_pictures_are_looked_at_in_parts(model, said, monkeypatch):
     whole = refine(model, said, _UNSEEN.states, steps=3)
-    monkeypatch.setattr("petkin.hybrid.refine._NUMBERS", 20)
+    monkeypatch.setattr(sys.modules[refine.__module__], "_NUMBERS", 20)
     parts = refine(model, said, _UNSEEN.states, steps=3)
     torch.testing.assert_close(parts.after, whole.after, rtol=1e-3, atol=1e-9)

@@ -19,8 +19,8 @@ from petkin.hybrid.refine import refine
 from petkin.hybrid.strategies import Strategy
 
 VALID = 0.025
-#: Numbers of observations that are refined side by side, and steps at most.
-_TOGETHER, _STEPS = 1 << 25, 6
+#: Numbers of observations that are refined side by side.
+_TOGETHER = 1 << 25
 
 
 def valid_share(exceeded: Bool[Tensor, "*b T"]) -> Float[Tensor, "*b"]:
@@ -65,16 +65,17 @@ def measure(
 
 @torch.no_grad()
 def measure_refined(
-    model: Identifier, data: Dataset, k: int, first: int, *, physics: tuple[int, ...]
+    model: Identifier, data: Dataset, k: int, first: int, *, physics: tuple[int, ...], steps: int = 6
 ) -> dict[str, float]:
     """The same metrics where c_p and c_n are refined on the first k series of each dynamics, and used for its others.
 
-    Of a series that is predicted only z(0) is refined, on what is seen of its first frames. Six steps at most.
+    Of a series that is predicted only z(0) is refined, on what is seen of its first frames.
 
     Args:
         model, data, physics: see `measure`.
         k: context series.
         first: frames of the others that are seen.
+        steps: tried at most, each a look at all that is observed.
     """
     was, _ = model.training, model.eval()
     rows = []
@@ -83,11 +84,11 @@ def measure_refined(
         observed = model.task.emission.observe(part.states)
         said = model.encode(observed)
         context = Encoded(said.initial[:, :k], said.physics[:, :k], said.code[:, :k])
-        learned = refine(model, context, observed[:, :k], steps=_STEPS).found
+        learned = refine(model, context, observed[:, :k], steps=steps).found
         count = data.series - k
         physics_found, code = (x[:, :1].expand(-1, count, -1) for x in (learned.physics, learned.code))
         others = Encoded(said.initial[:, k:], physics_found, code)
-        found = refine(model, others, observed[:, k:, :first], steps=_STEPS, dynamics=False).found
+        found = refine(model, others, observed[:, k:, :first], steps=steps, dynamics=False).found
         rows += [_score(model, found, Dataset(part.states[:, k:], part.truth), data, physics)] * part.dynamics
     model.train(was)
     return _means(rows)

@@ -7,10 +7,12 @@ from petkin.learning.responses import Known, Responses
 from petkin.learning.tissue import PRIORS, RESIDUALS, Conditions, tissue_model, tissue_task
 from petkin.learning.tracer import (
     Identified,
+    Mapped,
     Measured,
     conditions_of,
     drawn_curves,
     identify_scan,
+    identify_voxels,
     together,
     train_tracer,
     try_out,
@@ -26,6 +28,7 @@ __all__ = [
     "Identified",
     "Keep",
     "Known",
+    "Mapped",
     "Measured",
     "Population",
     "Responses",
@@ -36,6 +39,7 @@ __all__ = [
     "drawn_curves",
     "identify",
     "identify_scan",
+    "identify_voxels",
     "learn",
     "predict",
     "tissue_model",

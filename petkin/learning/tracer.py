@@ -16,11 +16,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from petkin.errors import InputError
-from petkin.hybrid import HybridField, Settings, load_tensors, save_tensors
+from petkin.hybrid import Settings, load_tensors, save_tensors
 from petkin.hybrid.checkpoint import below
-from petkin.learning.flow import TissueFlow
+from petkin.learning.ensemble import draw_ensemble, posterior
 from petkin.learning.population import Population, draw
 from petkin.learning.prior import TRIAL, Curves, Keep, TissuePrior, identify, learn
+from petkin.learning.quantities import REPORTED, late_plasma, quantities, tissue_and_residual, with_errors
 from petkin.learning.responses import Known
 from petkin.learning.tissue import Conditions, tissue_task
 
@@ -32,10 +33,8 @@ _HIGHEST = 2.0
 BOUNDS = {"K1": (0.0, 1.0), "k2": (0.0, 1.0), "vB": (0.0, 0.2)}
 KIND = "tissue of one compartment and what it lacks"
 _IDENTIFY = Settings(steps=300, rate=1e-2)
-#: Step in u of differences; hours of constant plasma and the step (min) that VT is told by.
-_STEP, _HOURS, _EULER = 1e-2, 10.0, 0.5
-#: What is reported; the share of errors that one standard error holds.
-_REPORTED, _TWO_THIRDS = ("K1", "k2", "vB", "VT"), 0.683
+#: Share of errors that one standard error holds.
+_TWO_THIRDS = 0.683
 #: Relative difference of half-lives, and of lengths and heights, that is let pass.
 _SAME, _BEYOND = 0.01, 0.1
 
@@ -144,8 +143,8 @@ class Identified:
     """Curves of one scan as a learned tissue explains them, in the scan's own unit.
 
     Args:
-        physics: K1, k2, vB, and VT = C_T / C_P once both are at rest, NaN where they do not come to rest (n, 4).
-        percent_se: of them, from the curvature of misfit and prior (n, 4).
+        quantities: K1, k2, vB, VT and mean f_NN, see `petkin.learning.quantities` (n, 5).
+        percent_se: of them, from the curvature of misfit and prior (n, 5).
         predicted: frame values (n, K).
         nodes: times, min (N,).
         tissue: C_T at the nodes (n, N), kBq/mL.
@@ -154,7 +153,7 @@ class Identified:
         remarks: what lies outside of what was learned from, a sentence each.
     """
 
-    physics: Tensor
+    quantities: Tensor
     percent_se: Tensor
     predicted: Tensor
     nodes: Tensor
@@ -173,17 +172,16 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
     tensors, card = load_tensors(path)
     _check(path, card, half_life)
     conditions = conditions_of([scan])
-    prior, curves = _restored(tensors, card, conditions), together([scan])
+    prior, curves = restored(tensors, card, conditions), together([scan])
     u = identify(prior, curves, _IDENTIFY)
     with torch.no_grad():
-        tissue, learned = _residual(prior, u, curves)
+        tissue, learned = tissue_and_residual(prior, u, curves.amounts)
         predicted = prior.predict(u, curves.amounts)[..., 1]
-        physics, errors = _quantities(prior, u, curves, _late_plasma(conditions, curves))
-        errors = torch.maximum(errors, _tried(card))
+        found, errors = with_errors(prior, u, curves, late_plasma(conditions, curves.amounts))
     back = 1.0 / scan.scale
     return Identified(
-        physics,
-        errors,
+        _in_unit_of_scan(found, scan.scale),
+        torch.maximum(errors, _tried(card)),
         back * predicted,
         conditions.grid.nodes,
         back * tissue,
@@ -193,7 +191,51 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
     )
 
 
-def _restored(tensors: Mapping[str, Tensor], card: Mapping[str, Any], conditions: Conditions) -> TissuePrior:
+@dataclass(frozen=True)
+class Mapped:
+    """Many curves of one scan as a learned tissue explains them, in the scan's own unit.
+
+    Args:
+        quantities: as of `Identified`, posterior means (of logarithms, but for f_NN) (n, 5).
+        percent_se: posterior standard deviations, no smaller than what the checkpoint missed the truth by (n, 5).
+        misfit: weighted mean square over frames with weight (n,).
+        remarks: what lies outside of what was learned from, a sentence each.
+    """
+
+    quantities: Tensor
+    percent_se: Tensor
+    misfit: Tensor
+    remarks: tuple[str, ...]
+
+
+def identify_voxels(path: Path, scan: Measured, *, half_life: float, level: float) -> Mapped:
+    """What a checkpoint makes of many noisy curves of a scan, see `petkin.learning.ensemble`.
+
+    Args:
+        path: the checkpoint.
+        scan: the curves.
+        half_life: of the radionuclide, min.
+        level: mean of all curves of the scan, whichever these are, kBq/mL.
+
+    Raises:
+        InputError: as `identify_scan`.
+    """
+    tensors, card = load_tensors(path)
+    _check(path, card, half_life)
+    conditions, scale = conditions_of([scan]), LEVEL / level
+    drawn = draw_ensemble(restored(tensors, card, conditions), conditions, scale, scan.weights)
+    found, errors, misfit = posterior(drawn, scale * scan.values)
+    remarks = (*_longer(card, scan), _said_of_trial(card))
+    return Mapped(_in_unit_of_scan(found, scale), torch.maximum(errors, _tried(card)), misfit / scale**2, remarks)
+
+
+def _in_unit_of_scan(found: Tensor, scale: float) -> Tensor:
+    """f_NN is a rate of activity, all else is not."""
+    return torch.cat([found[:, :-1], found[:, -1:] / scale], dim=1)
+
+
+def restored(tensors: Mapping[str, Tensor], card: Mapping[str, Any], conditions: Conditions) -> TissuePrior:
+    """What a checkpoint holds, for other inputs and frames."""
     bounds = {symbol: (pair[0], pair[1]) for symbol, pair in card["bounds"].items()}
     prior = TissuePrior(tissue_task("meta_hylad", conditions, bounds, residual=card["residual"]))
     prior.load_state_dict(dict(below("prior.", tensors)))
@@ -214,14 +256,14 @@ def try_out(path: Path, population: Population, subjects: int) -> None:
     tensors, card = load_tensors(path)
     conditions, curves = drawn_curves(population, subjects, card["seed"] + 1)
     truth = draw(population, subjects, 1, card["seed"] + 1)[0].truth
-    prior = _restored(tensors, card, conditions)
+    prior = restored(tensors, card, conditions)
     u = identify(prior, curves, _IDENTIFY)
     with torch.no_grad():
-        found, _ = _quantities(prior, u, curves, _late_plasma(conditions, curves))
+        found = quantities(prior, u, curves.amounts, late_plasma(conditions, curves.amounts))
     true = {"K1": truth[:, 0], "k2": truth[:, 1], "VT": population.model.macro(truth)["VT"]}
     trial = {}
     for symbol, values in true.items():
-        off = 100.0 * (found[:, _REPORTED.index(symbol)] / values - 1.0)
+        off = 100.0 * (found[:, REPORTED.index(symbol)] / values - 1.0)
         off = off[torch.isfinite(off)]
         if len(off):
             trial[symbol] = [round(float(off.median()), 1), round(float(off.abs().quantile(_TWO_THIRDS)), 1)]
@@ -231,7 +273,7 @@ def try_out(path: Path, population: Population, subjects: int) -> None:
 def _tried(card: Mapping[str, Any]) -> Tensor:
     """Smallest percent standard errors that the trial allows."""
     trial = card.get(TRIAL, {})
-    return torch.tensor([trial[symbol][1] if symbol in trial else 0.0 for symbol in _REPORTED])
+    return torch.tensor([trial[symbol][1] if symbol in trial else 0.0 for symbol in REPORTED])
 
 
 def _said_of_trial(card: Mapping[str, Any]) -> str:
@@ -256,62 +298,18 @@ def _check(path: Path, card: Mapping[str, Any], half_life: float) -> None:
 
 
 def _beyond(card: Mapping[str, Any], scan: Measured, curves: Curves) -> tuple[str, ...]:
-    end, highest = float(scan.known.observation.frames.end[-1]), float(curves.values.max())
-    sentences = []
-    if end > (1.0 + _BEYOND) * card["end_min"]:
-        sentences.append(
-            f"The scan ends at {end:.4g} min, those learned from at {card['end_min']:.4g} min: extrapolated."
-        )
-    if highest > (1.0 + _BEYOND) * card["highest"]:
-        sentences.append(
-            f"The highest value is {highest / LEVEL:.3g} x the mean of the scan's curves, in those learned from "
-            f"{card['highest'] / LEVEL:.3g} x: f_NN is asked for what it has not seen."
-        )
-    return tuple(sentences)
-
-
-def _residual(prior: TissuePrior, u: Tensor, curves: Curves) -> tuple[Tensor, Tensor]:
-    """C_T and f_NN at the nodes."""
-    flow, field, physics = prior.task.flow, prior.field(u), prior.physics(u)
-    assert isinstance(flow, TissueFlow)
-    assert isinstance(field, HybridField)
-    linear, _, _ = flow.linear(physics, curves.amounts)
-    layers = tuple((matrix[..., None], bias[..., None]) for matrix, bias in field.layers)  # type: ignore[attr-defined]
-    states, slopes = flow.march(field.residual, layers, linear, physics, curves.amounts)
-    return states[0], slopes + physics[:, 1:2] * (states[0] - linear)
-
-
-def _quantities(prior: TissuePrior, u: Tensor, curves: Curves, plasma: Tensor) -> tuple[Tensor, Tensor]:
-    """c_p and VT, and 100 |se / value| of them: Gauss-Newton curvature, by differences in u."""
-    count = u.shape[1]
-    moved = torch.stack([u + sign * _STEP * torch.eye(count)[i] for sign in (1.0, -1.0) for i in range(count)])
-    around = torch.cat([u[None], moved]).flatten(0, 1)
-    times = 1 + 2 * count
-    frames = prior.predict(around, curves.amounts.repeat(times, 1))[..., 1].unflatten(0, (times, -1))
-    known = prior.physics(around)
-    volume = _volume(prior, around, plasma.repeat(times))
-    values = torch.cat([known, volume[:, None]], dim=1).unflatten(0, (times, -1))
-    slopes, ways = (
-        ((part[1 : 1 + count] - part[1 + count :]) / (2.0 * _STEP)).movedim(0, -1) for part in (frames, values)
+    highest = float(curves.values.max())
+    if highest <= (1.0 + _BEYOND) * card["highest"]:
+        return _longer(card, scan)
+    return (
+        *_longer(card, scan),
+        f"The highest value is {highest / LEVEL:.3g} x the mean of the scan's curves, in those learned from "
+        f"{card['highest'] / LEVEL:.3g} x: f_NN is asked for what it has not seen.",
     )
-    curvature = slopes.mT @ (curves.weights[..., None] * slopes) / prior.variance + prior.precision
-    variance = (ways @ torch.linalg.inv(curvature) * ways).sum(dim=-1)
-    return values[0], 100.0 * variance.sqrt() / values[0].abs().clamp_min(1e-9)
 
 
-def _late_plasma(conditions: Conditions, curves: Curves) -> Tensor:
-    """Mean C_P over the later half of the scan, at the common level (n,)."""
-    late = conditions.grid.nodes >= 0.5 * conditions.grid.nodes[-1]
-    return (curves.amounts @ conditions.responses.plasma)[:, late].mean(dim=-1)
-
-
-def _volume(prior: TissuePrior, u: Tensor, plasma: Tensor) -> Tensor:
-    """C_T / C_P after hours of constant plasma (n,); NaN where it still moves by a percent in the last fifth."""
-    field, physics = prior.field(u), prior.physics(u)
-    assert isinstance(field, HybridField)
-    state, now, path = u.new_zeros(len(u), field.residual.outputs), u.new_zeros(()), []
-    for _ in range(round(_HOURS * 60.0 / _EULER)):
-        state = state + _EULER * field(now, state, plasma, physics)
-        path.append(state[:, 0])
-    end, before = path[-1], path[-len(path) // 5]
-    return torch.where((end - before).abs() < 0.01 * end.abs(), end / plasma, torch.nan)
+def _longer(card: Mapping[str, Any], scan: Measured) -> tuple[str, ...]:
+    end = float(scan.known.observation.frames.end[-1])
+    if end <= (1.0 + _BEYOND) * card["end_min"]:
+        return ()
+    return (f"The scan ends at {end:.4g} min, those learned from at {card['end_min']:.4g} min: extrapolated.",)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +17,19 @@ from petkin.methods.method import Method
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from petkin.learning import Identified
+    from petkin.learning import Identified, Mapped
 
 _VOLUME = Macro("VT", "mL cm^-3", lambda K1, k2: K1 / k2, "C_T/C_P at rest, with the learned correction")
+#: Symbol, unit and meaning of what is told, in the order of `petkin.learning.quantities`.
+_TOLD = (
+    *((q.symbol, q.unit, q.meaning) for q in (*ONE_TISSUE.parameters, _VOLUME)),
+    ("fNN", "kBq mL^-1 min^-1", "mean over the scan of what is added to K1 C_P - k2 C_T, as learned"),
+)
+_VT = 3
+#: Percent standard error from which on VT counts as not known.
+_UNKNOWN = 100.0
+#: What all voxels of a scan share.
+_LEVEL = "level"
 #: Curves in a picture.
 _SHOWN = 6
 
@@ -26,7 +37,7 @@ _SHOWN = 6
 def _fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: bool) -> FitResult:
     import torch
 
-    from petkin.learning import Known, Measured, identify_scan
+    from petkin.learning import Identified, Known, Measured, identify_scan, identify_voxels
 
     arterial = given.input("hybrid")
     if choices.checkpoint is None:
@@ -37,36 +48,56 @@ def _fit(curves: NDArray[np.floating], given: Given, choices: Choices, voxels: b
     weights = torch.tensor(np.asarray(given.weights, np.float64))
     known = Known(arterial.plasma, arterial.whole_blood, given.observation)
     values = np.asarray(curves, np.float64)
-    usable = np.isfinite(values).all(axis=1) & (values.sum(axis=1) > 0)
-    scan = Measured(torch.tensor(values[usable]), weights, known)
-    found = identify_scan(choices.checkpoint, scan, half_life=math.log(2.0) / decay)
-    return _result(values, usable, found, np.asarray(given.weights))
-
-
-def _result(values: NDArray, usable: NDArray[np.bool_], found: Identified, weights: NDArray) -> FitResult:
-    def spread(part: Tensor) -> NDArray[np.float64]:
-        whole = np.full((len(values), *part.shape[1:]), np.nan)
-        whole[usable] = part.double().numpy()
-        return whole
-
-    physics, errors, misfit = spread(found.physics), spread(found.percent_se), spread(found.misfit)
-    estimates = tuple(
-        Estimate(q.symbol, q.unit, physics[:, i], errors[:, i], q.meaning)
-        for i, q in enumerate((*ONE_TISSUE.parameters, _VOLUME))
-    )
-    status = np.where(usable, Status.OK, Status.NO_SIGNAL).astype(np.uint8)
-    status[~np.isfinite(values).all(axis=1)] = Status.NOT_FINITE
-    return FitResult(
+    finite: NDArray[np.bool_] = np.isfinite(values).all(axis=1)  # type: ignore[assignment]
+    usable = finite & (values.sum(axis=1) > 0)
+    half_life, path = math.log(2.0) / decay, choices.checkpoint
+    found: Identified | Mapped
+    if voxels:
+        scan = Measured(torch.tensor(np.where(usable[:, None], values, 0.0)), weights, known)
+        found = identify_voxels(path, scan, half_life=half_life, level=choices.fixed[_LEVEL])
+        told, errors, misfit = (part.double().numpy() for part in (found.quantities, found.percent_se, found.misfit))
+        for part in (told, errors, misfit):
+            part[~usable] = np.nan
+    else:
+        found = identify_scan(path, Measured(torch.tensor(values[usable]), weights, known), half_life=half_life)
+        told, errors, misfit = (_spread(part, usable) for part in (found.quantities, found.percent_se, found.misfit))
+    result = FitResult(
         model="hybrid",
-        estimates=estimates,
+        estimates=tuple(Estimate(*q[:2], told[:, i], errors[:, i], q[2]) for i, q in enumerate(_TOLD)),
         chi2=misfit,
         aicc=np.full(len(values), np.nan),
-        status=status,
-        weights=weights,
-        predicted=spread(found.predicted),
+        status=_status(finite, usable, errors[:, _VT]),
+        weights=np.asarray(given.weights),
+        settings={"fixed": {}},
         remarks=found.remarks,
-        plots=_plots(np.flatnonzero(usable), found),
     )
+    if not isinstance(found, Identified):
+        return result
+    return replace(result, predicted=_spread(found.predicted, usable), plots=_plots(np.flatnonzero(usable), found))
+
+
+def _spread(part: Tensor, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    whole = np.full((len(usable), *part.shape[1:]), np.nan)
+    whole[usable] = part.double().numpy()
+    return whole
+
+
+def _status(finite: NDArray[np.bool_], usable: NDArray[np.bool_], percent: NDArray) -> NDArray[np.uint8]:
+    status = np.where(usable, Status.OK, Status.NO_SIGNAL).astype(np.uint8)
+    status[usable & ~(percent <= _UNKNOWN)] = Status.NOT_IDENTIFIABLE
+    status[~finite] = Status.NOT_FINITE
+    return status
+
+
+def _level(
+    curves: NDArray[np.floating], given: Given, choices: Choices, voxels: bool
+) -> dict[str, tuple[float, float]]:
+    """Mean of the voxels, to whose scale f_NN was learned: one for all blocks of them."""
+    usable = np.isfinite(curves).all(axis=1)
+    level = float(np.asarray(curves)[usable].mean(dtype=np.float64)) if usable.any() else 0.0
+    if not level > 0:
+        raise InputError("--model hybrid: the mean of all voxels is not above zero; is there tracer in the mask?")
+    return {_LEVEL: (level, 0.0)}
 
 
 def _plots(places: NDArray[np.intp], found: Identified) -> tuple[Plot, ...]:
@@ -95,5 +126,5 @@ HYBRID = Method(
         "or what the checkpoint missed the truth of its own population by, where that is more."
     ),
     reference="Ye Y et al. arXiv:2403.08194; Sheiner LB, Beal SL. J Pharm Sci 1982;71:1344-1348",
-    regions_only=True,
+    share=_level,
 )

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import nibabel
+import numpy as np
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from petkin.cli.app import app
 from petkin.errors import InputError
-from petkin.fitting import Choices
+from petkin.fitting import Choices, Status
 from petkin.methods import check_choices, find_method
 
 from .conftest import Ran
@@ -71,12 +74,14 @@ def test_what_was_learned_fits_a_study(study: Path, petkin_command: Callable[...
     assert nothing.status == 2
     assert "there is neither a segmentation nor curves" in nothing.err
     assert nothing.err.count("\n") == 1
-    ran = petkin_command("fit", study, "--model", "hybrid", "--checkpoint", path, "--level", "region", "--out", out)
+    ran = petkin_command("fit", study, "--model", "hybrid", "--checkpoint", path, "--out", out)
     assert ran.status == 0, ran.err
     table = pd.read_csv(next(out.rglob("*model-hybrid_kinpar.tsv")), sep="\t")
-    assert {"K1", "k2", "VB", "VT"} <= set(table)
+    assert {"K1", "k2", "VB", "VT", "fNN"} <= set(table)
     assert "Learned correction against tissue" in next(out.rglob("*report.html")).read_text()
-    refused = petkin_command("fit", study, "--model", "hybrid", "--checkpoint", path, "--out", out)
-    assert refused.status == 2
-    assert "hybrid" in refused.err
-    assert refused.err.count("\n") == 1
+    maps = {q: next(out.rglob(f"*model-hybrid_meas-{q}_mimap.nii.gz")) for q in ("K1", "k2", "VB", "VT", "fNN")}
+    status = np.asarray(nibabel.load(next(out.rglob("*model-hybrid_desc-status_mimap.nii.gz"))).dataobj)
+    for path in maps.values():
+        values = np.asarray(nibabel.load(path).dataobj)
+        assert np.isfinite(values[status == Status.OK]).all()
+    assert json.loads(Path(str(maps["fNN"]).replace(".nii.gz", ".json")).read_text())["Units"] == "kBq mL^-1 min^-1"

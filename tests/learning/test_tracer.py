@@ -78,13 +78,13 @@ def test_curves_are_explained_and_errors_are_told(checkpoint):
     assert float(off.max()) < 0.1
     assert len(found.remarks) == 1
     assert "no known truth" in found.remarks[0]
-    assert found.physics.shape == (5, 4)
+    assert found.quantities.shape == (5, 5)
     assert bool((found.percent_se[:, :3] > 0).all())
-    told = torch.isfinite(found.physics[:, 3])
-    assert bool((found.physics[told, 3] > 0).all())
+    told = torch.isfinite(found.quantities[:, 3])
+    assert bool((found.quantities[told, 3] > 0).all())
     assert bool(torch.isfinite(found.learned).all())
     twice = identify_scan(checkpoint, replace(given, values=2.0 * given.values), half_life=_HALF_LIFE)
-    torch.testing.assert_close(twice.physics[:, 1], found.physics[:, 1], rtol=0.5, atol=0.05)
+    torch.testing.assert_close(twice.quantities[:, 1], found.quantities[:, 1], rtol=0.5, atol=0.05)
 
 
 def test_errors_are_no_smaller_than_those_on_unseen_tissue(checkpoint, tmp_path):
@@ -101,7 +101,7 @@ def test_errors_are_no_smaller_than_those_on_unseen_tissue(checkpoint, tmp_path)
         given = Measured(measured.states[own, 0, :, 1].double(), weights[own].double(), Known(plasma, plasma, _SEEN))
         before.append(identify_scan(checkpoint, given, half_life=_HALF_LIFE))
         after.append(identify_scan(path, given, half_life=_HALF_LIFE))
-    off = 100.0 * (torch.cat([found.physics[:, 0] for found in before]) / clean.truth[:, 0] - 1.0)
+    off = 100.0 * (torch.cat([found.quantities[:, 0] for found in before]) / clean.truth[:, 0] - 1.0)
     assert trial["K1"] == pytest.approx([float(off.median()), float(off.abs().quantile(0.683))], rel=0.1, abs=1.0)
     for plain, tried in zip(before, after):
         torch.testing.assert_close(

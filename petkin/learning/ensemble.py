@@ -30,11 +30,11 @@ from petkin.learning.quantities import late_plasma, mean_residual, volume
 from petkin.learning.tissue import Conditions
 
 #: Tissues drawn, as many at a time; their number that must count; exponents tried, each a quarter of the one before.
-_DRAWN, _AT_A_TIME, _COUNT, _EXPONENTS = 4096, 512, 64, 10
+_DRAWN, _AT_A_TIME, _COUNT, _EXPONENTS = 2048, 512, 64, 10
 #: Directions of curves; curves at a time.
 _DIRECTIONS, _CHUNK = 8, 2048
-#: Spread of a logarithm that is no knowledge.
-_MOST = 10.0
+#: Spread of a logarithm that is no knowledge; logarithm of a weight below which numbers are slow and count for nothing.
+_MOST, _LEAST = 10.0, -80.0
 
 
 @dataclass(frozen=True)
@@ -108,8 +108,9 @@ def _posterior(drawn: Ensemble, values: Tensor) -> tuple[Tensor, Tensor, Tensor]
     seen, frames = off @ drawn.directions, int(drawn.root.count_nonzero())
     outside = (off**2).sum(dim=1) - (seen**2).sum(dim=1)
     noise = (outside / (frames - seen.shape[1])).clamp_min(drawn.least)
-    distance = (seen**2).sum(dim=1)[:, None] - 2.0 * seen @ drawn.curves.T + (drawn.curves**2).sum(dim=1)
-    share, exponent = _shares((-0.5 * (distance - distance.amin(dim=1, keepdim=True)) / noise[:, None]).float())
+    scaled = (seen / noise[:, None]).float()  # single precision: where it would matter, weights are tempered
+    likelihood = scaled @ drawn.curves.float().T - 0.5 * (drawn.curves**2).sum(dim=1).float() / noise[:, None].float()
+    share, exponent = _shares(likelihood - likelihood.amax(dim=1, keepdim=True))
     mean_x, mean_q, cov_xx, cov_qx, var_q = _moments(share, drawn)
     rest = (1.0 - exponent)[:, None, None]
     eye = torch.eye(seen.shape[1], dtype=seen.dtype)
@@ -125,13 +126,13 @@ def _posterior(drawn: Ensemble, values: Tensor) -> tuple[Tensor, Tensor, Tensor]
 def _shares(logarithms: Float[Tensor, "n M"]) -> tuple[Float[Tensor, "n M"], Float[Tensor, " n"]]:
     """Weights that sum to 1, and the exponent at which enough tissues count."""
     exponent = torch.ones(len(logarithms), dtype=torch.float64)
-    weights = logarithms.exp()
+    weights = logarithms.clamp_min(_LEAST).exp()
     for _ in range(_EXPONENTS):
-        few = torch.nonzero(weights.sum(dim=1) ** 2 < _COUNT * (weights**2).sum(dim=1))[:, 0]
+        few = torch.nonzero(weights.sum(dim=1) ** 2 < _COUNT * torch.linalg.vecdot(weights, weights))[:, 0]
         if not len(few):
             break
         exponent[few] *= 0.25
-        weights[few] = (exponent[few, None].float() * logarithms[few]).exp()
+        weights[few] = (exponent[few, None].float() * logarithms[few]).clamp_min(_LEAST).exp()
     return weights / weights.sum(dim=1, keepdim=True), exponent
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis, Member, Visible, diagnose, foresee_design, in_common
 from petkin.effects import EFFECTS
+from petkin.effects.noise import NOISE_VARIANCE
 from petkin.errors import InputError
 from petkin.fitting import Status
 from petkin.imaging import FrameObservation
@@ -41,6 +42,7 @@ from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.scatter import Scatter, look_at_scatter, scattered
 from petkin.study.diagnosis.sidecar import Blunder, blunders
 from petkin.study.fit_report import directions
 from petkin.study.fit_scan import Progress
@@ -129,8 +131,9 @@ class _One:
 def _diagnosed(
     source: Source, curves: RegionalCurves, simulator: RegionalSimulator, request: DiagnoseRequest, progress: Progress
 ) -> _One:
-    """The sidecar first, then the image, then the regions, each with what came before."""
+    """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
+    scatter, simulator = _law_of_noise(simulator, curves, request)
     candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
     progress("looking at the image", 0.0)
     imaged = look_at_image(source, curves, simulator, frozenset(h.name for h in candidates), seed=request.seed)
@@ -144,10 +147,25 @@ def _diagnosed(
         seed=request.seed,
         progress=progress,
     )
+    if imaged is not None and imaged.looked is not None:
+        found = weighed(found, imaged.looked)
+    found = found if scatter is None else scattered(found, scatter)
     if imaged is None:
         return _One(found, shown, None)
-    found = weighed(found, imaged.looked) if imaged.looked is not None else found
     return _One(found, shown, gap_map(imaged.voxels, found, simulator.clock))
+
+
+def _law_of_noise(
+    simulator: RegionalSimulator, curves: RegionalCurves, request: DiagnoseRequest
+) -> tuple[Scatter | None, RegionalSimulator]:
+    """What the scatter of the values says of its law, None where nobody asks; and the simulator under that law."""
+    name = NOISE_VARIANCE.name
+    if name in request.without:
+        return None, simulator
+    found = look_at_scatter(simulator, curves.values, seed=request.seed)
+    included = name in request.include
+    flatness = float(np.clip(found.flatness, 0.0, 1.0)) if included or found.claimed else 0.0
+    return None if included else found, replace(simulator, flatness=flatness)
 
 
 def _cohort(

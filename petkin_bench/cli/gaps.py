@@ -68,8 +68,11 @@ def withheld(
     regions: Annotated[int, typer.Option(help="A scan.", min=2)] = 5,
     draws: Annotated[int, typer.Option(help="Noise draws of each diagnosis.", min=20)] = 400,
     without: Annotated[
-        str, typer.Option(help="Take a part out: projection, priors, common_noise or pairs; it must score worse.")
+        str,
+        typer.Option(help="Take a part out, which must score worse: projection, priors, common_noise, pairs; engine."),
     ] = "",
+    images: Annotated[bool, typer.Option("--images", help="Image cases: small 4-D scans with a segmentation.")] = False,
+    examples: Annotated[int, typer.Option(help="Training cases of the network alone (--without engine).")] = 800,
     workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
     work: Annotated[Path, typer.Option(help="Folder of verdicts and answers.")] = Path("bench-withheld"),
     results: Annotated[
@@ -82,11 +85,19 @@ def withheld(
     are scored when all verdicts are there.
     """
     from petkin_bench.provenance import append_rows
-    from petkin_bench.withheld.run import Plan, run
+    from petkin_bench.withheld.images.score import image_metrics
+    from petkin_bench.withheld.run import LEARNED_SEED, Plan, run
     from petkin_bench.withheld.score import joined, metrics, text_of
 
-    plan = Plan(split, seed, cases, regions, draws, without)
-    found = metrics(joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True))))
+    network = work / f"network_seed{LEARNED_SEED}_regions{regions}_{examples}.pt"
+    plan = Plan(split, seed, cases, regions, draws, without, images, network)
+    if without == "engine" and not network.is_file():
+        from petkin_bench.withheld.network import train_network
+
+        work.mkdir(parents=True, exist_ok=True)
+        train_network(network, seed=LEARNED_SEED, count=examples, regions=regions, told=lambda t: typer.echo(t, err=True))
+    judged = joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True)))
+    found = image_metrics(judged) if images else metrics(judged)
     typer.echo(text_of(found))
     if results is not None:
         settings = {

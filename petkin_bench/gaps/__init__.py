@@ -2,11 +2,13 @@
 
 from petkin.errors import InputError
 from petkin_bench.gaps.bouncing_ball import BOUNCING_BALL
+from petkin_bench.gaps.double_pendulum import DOUBLE_PENDULUM
 from petkin_bench.gaps.mass_spring import MASS_SPRING
 from petkin_bench.gaps.moving import Body, MovingBodies
 from petkin_bench.gaps.pendulum import PENDULUM
+from petkin_bench.gaps.rigid_body import RIGID_BODY
 
-BODIES = (PENDULUM, MASS_SPRING, BOUNCING_BALL)
+BODIES = (PENDULUM, MASS_SPRING, BOUNCING_BALL, DOUBLE_PENDULUM, RIGID_BODY)
 
 
 def find_body(name: str) -> Body:

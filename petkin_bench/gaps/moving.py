@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Effects = Mapping[str, Term]
 #: (time, places, speeds, parameters, effects) -> acceleration, all of them (..., n).
 Law = Callable[[float, Array, Array, Array, Effects], Array]
+#: (places, speeds) -> rates of the places.
+Rate = Callable[[Array, Array], Array]
 
 #: Standard deviation of a start's prior: none to speak of.
 _WIDE = 20.0
@@ -30,6 +32,10 @@ _COSINES = 14
 def size(effects: Effects, name: str) -> Any:
     """Amplitude of an effect; 0 where it is absent."""
     return effects[name].amplitude if name in effects else 0.0
+
+
+def _speeds(_: Array, v: Array) -> Array:
+    return v
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,7 @@ class Body:
         frames: how many.
         wall: places are reflected at +-wall; 0 for none.
         steps: of the integration, a frame.
+        rate: of the places, where it is not the speeds.
     """
 
     name: str
@@ -61,6 +68,7 @@ class Body:
     frames: int
     wall: float = 0.0
     steps: int = 6
+    rate: Rate = _speeds
 
     @property
     def dimensions(self) -> int:
@@ -145,10 +153,14 @@ def _stepped(
     body: Body, t: float, h: float, q: Array, v: Array, shared: Array, effects: Effects
 ) -> tuple[Array, Array]:
     a1 = body.law(t, q, v, shared, effects)
-    a2 = body.law(t + h / 2, q + h / 2 * v, v + h / 2 * a1, shared, effects)
-    a3 = body.law(t + h / 2, q + h / 2 * (v + h / 2 * a1), v + h / 2 * a2, shared, effects)
-    a4 = body.law(t + h, q + h * (v + h / 2 * a2), v + h * a3, shared, effects)
-    moved, faster = q + h * v + h * h / 6 * (a1 + a2 + a3), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    r1, v2 = body.rate(q, v), v + h / 2 * a1
+    q2 = q + h / 2 * r1
+    a2, r2 = body.law(t + h / 2, q2, v2, shared, effects), body.rate(q2, v2)
+    q3, v3 = q + h / 2 * r2, v + h / 2 * a2
+    a3, r3 = body.law(t + h / 2, q3, v3, shared, effects), body.rate(q3, v3)
+    q4, v4 = q + h * r3, v + h * a3
+    a4, r4 = body.law(t + h, q4, v4, shared, effects), body.rate(q4, v4)
+    moved, faster = q + h / 6 * (r1 + 2 * r2 + 2 * r3 + r4), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
     return (moved, faster) if not body.wall else _reflected(body.wall, moved, faster, a1, effects)
 
 

@@ -19,10 +19,16 @@ from petkin_bench.gaps.moving import Body, MovingBodies, seen, size
 Array = NDArray[np.float64]
 
 #: Starts and parameters that runs are drawn from, by body.
-_DRAWN: Mapping[str, tuple[tuple[tuple[float, float], ...], tuple[float, float]]] = {
-    "pendulum": (((-1.4, 1.4), (-2.0, 2.0)), (6.0, 14.0)),
-    "mass_spring": (((-4.5, -2.0), (2.0, 4.5), (-0.5, 0.5), (-0.5, 0.5)), (6.0, 14.0)),
-    "bouncing_ball": (((-4.0, 4.0), (-2.0, 4.0), (-3.0, 3.0), (-3.0, 3.0)), (1.5, 5.0)),
+_Ranges = tuple[tuple[float, float], ...]
+_DRAWN: Mapping[str, tuple[_Ranges, _Ranges]] = {
+    "pendulum": (((-1.4, 1.4), (-2.0, 2.0)), ((6.0, 14.0),)),
+    "mass_spring": (((-4.5, -2.0), (2.0, 4.5), (-0.5, 0.5), (-0.5, 0.5)), ((6.0, 14.0),)),
+    "bouncing_ball": (((-4.0, 4.0), (-2.0, 4.0), (-3.0, 3.0), (-3.0, 3.0)), ((1.5, 5.0),)),
+    "double_pendulum": (((-1.2, 1.2), (-1.2, 1.2), (-1.0, 1.0), (-1.0, 1.0)), ((6.0, 14.0),)),
+    "rigid_body": (
+        ((-0.8, 0.8), (-0.8, 0.8), (-0.3, 0.3), *[(-0.5, 0.5)] * 6, *[(-1.0, 1.0)] * 3),
+        ((-10.0, 10.0), (-10.0, 10.0)),
+    ),
 }
 _RTOL, _ATOL = 1e-9, 1e-10
 
@@ -47,9 +53,9 @@ def simulate_runs(
 
 
 def drawn_start(body: Body, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A start and the law's parameter."""
-    ranges, level = _DRAWN[body.name]
-    return np.array([rng.uniform(*r) for r in ranges]), np.array([rng.uniform(*level)])
+    """A start and the law's parameters."""
+    ranges, levels = _DRAWN[body.name]
+    return np.array([rng.uniform(*r) for r in ranges]), np.array([rng.uniform(*level) for level in levels])
 
 
 def run(body: Body, start: Array, shared: Array, effects: Mapping[str, Term]) -> Array:
@@ -60,7 +66,9 @@ def run(body: Body, start: Array, shared: Array, effects: Mapping[str, Term]) ->
     done = 0
     while done < count:
         solved = solve_ivp(
-            lambda t, y: np.concatenate([y[half:], body.law(t, y[:half], y[half:], shared, effects)]),
+            lambda t, y: np.concatenate(
+                [body.rate(y[:half], y[half:]), body.law(t, y[:half], y[half:], shared, effects)]
+            ),
             (now, times[-1] + 1e-9),
             state,
             method="DOP853",
@@ -173,7 +181,6 @@ def _row(body: Body, name: str, found: Diagnosis, share: float, trials: int, noi
 
 def body_answer(body: Body, found: Diagnosis, *, seed: int, seconds: float) -> dict[str, Any]:
     """The answer of a gap report, regions being trials and frames being samples of all points together."""
-    parameter, unit = body.parameters[0][:2]
     after = found.causes[0].fit.state.shared if found.causes and found.causes[0].fit is not None else None
     leader = found.causes[0].label if found.causes else ""
     said = {
@@ -237,9 +244,10 @@ def body_answer(body: Body, found: Diagnosis, *, seed: int, seconds: float) -> d
                 "region": "all trials",
                 "symbol": parameter,
                 "unit": unit,
-                "before": float(found.base.state.shared[0]),
-                "after": None if after is None else float(after[0]),
+                "before": float(found.base.state.shared[i]),
+                "after": None if after is None else float(after[i]),
             }
+            for i, (parameter, unit, _, _) in enumerate(body.parameters)
         ],
         "provenance": {"petkin": __version__, "seed": seed, "seconds": seconds},
     }

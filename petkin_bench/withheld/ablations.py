@@ -33,6 +33,8 @@ _STAND_INS: dict[str, tuple[tuple[str, str, str, Any], ...]] = {
     "pairs": (("diagnose", "", "pairs", _no_pairs),),
 }
 PARTS = tuple(_STAND_INS)
+#: All of it: a network alone judges.
+ENGINE = "engine"
 
 
 @contextmanager

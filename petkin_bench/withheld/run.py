@@ -9,15 +9,22 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from petkin.errors import InputError
-from petkin_bench.withheld.ablations import PARTS, without
+from petkin_bench.withheld.ablations import ENGINE, PARTS, without
 from petkin_bench.withheld.cases import SPLITS, Answer, case
+
+if TYPE_CHECKING:
+    from petkin_bench.withheld.images.cases import ImageAnswer
+
+#: Seed of the training cases that the network alone learns from.
+LEARNED_SEED = 901
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Which cases, what the product is asked, and which part of it is taken out."""
+    """Which cases, what the product is asked, and which part of it is taken out; the file of a network alone."""
 
     split: str
     seed: int
@@ -25,15 +32,23 @@ class Plan:
     regions: int
     draws: int
     without: str = ""
+    images: bool = False
+    network: Path = Path()
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
             raise InputError(f"--split {self.split!r}: give {' or '.join(SPLITS)}.")
-        if self.without and self.without not in PARTS:
-            raise InputError(f"--without {self.without!r}: give one of {', '.join(PARTS)}.")
+        if self.without and self.without not in (*PARTS, ENGINE):
+            raise InputError(f"--without {self.without!r}: give one of {', '.join((*PARTS, ENGINE))}.")
+        if self.without == ENGINE and self.split == "training" and self.seed == LEARNED_SEED:
+            raise InputError(f"--seed {self.seed}: the network learned from those training cases; give another.")
+        if self.images and self.without:
+            raise InputError("--images judges the whole product: leave --without away.")
 
     @property
     def stem(self) -> str:
+        if self.images:
+            return f"withheld_{self.split}_seed{self.seed}_images"
         lacking = f"_without_{self.without}" if self.without else ""
         return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}{lacking}"
 
@@ -66,17 +81,37 @@ def _judged(plan: Plan, indices: list[int], workers: int) -> Iterator[tuple[dict
 
 def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
     """Answer and verdict of one case as rows."""
+    if plan.images:
+        return _judged_image(plan, index)
     from petkin_bench.withheld.judge import verdict
 
     scan, truth = case(plan.split, plan.seed, index, plan.regions)
     answer = {"index": index} | row_of(truth)
-    digest = hashlib.sha256(json.dumps(answer, sort_keys=True).encode()).hexdigest()
+    if plan.without == ENGINE:
+        from petkin_bench.withheld.network import network_verdict
+
+        return answer, _sealed(answer) | network_verdict(scan, plan.network)
     with without(plan.without):
         found = verdict(scan, truth.clean, seed=index, draws=plan.draws)
-    return answer, {"index": index, "answer_sha256": digest} | found
+    return answer, _sealed(answer) | found
 
 
-def row_of(answer: Answer) -> dict[str, object]:
+def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
+    from petkin_bench.withheld.images.cases import image_case
+    from petkin_bench.withheld.images.judge import verdict
+
+    scan, truth = image_case(plan.split, plan.seed, index)
+    answer = {"index": index} | row_of(truth) | {"size": round(truth.size, 4), "width": truth.width}
+    return answer, _sealed(answer) | verdict(scan, seed=index)
+
+
+def _sealed(answer: dict[str, object]) -> dict[str, object]:
+    """The case's number, and the digest of its answer."""
+    digest = hashlib.sha256(json.dumps(answer, sort_keys=True).encode()).hexdigest()
+    return {"index": answer["index"], "answer_sha256": digest}
+
+
+def row_of(answer: Answer | ImageAnswer) -> dict[str, object]:
     """An answer as a row, without its curves; of classes, "a|b;c" is a or b, and c."""
     return {
         "kind": answer.kind,

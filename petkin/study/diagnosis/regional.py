@@ -53,6 +53,7 @@ class RegionalSimulator:
         includes: effects that are refitted with the kinetics.
         nodes: times at which the input is read, min.
         measured: effects whose part of the record was measured with care.
+        flatness: f of noise that scatters as counts to the power 1 - f.
     """
 
     channels: tuple[str, ...]
@@ -62,6 +63,7 @@ class RegionalSimulator:
     includes: tuple[Effect, ...]
     nodes: Array
     measured: frozenset[str] = frozenset()
+    flatness: float = 0.0
     _seen: dict[Any, Tabulated] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -152,9 +154,10 @@ class RegionalSimulator:
         return self._seen[key]
 
     def spread(self, values: Array) -> Array:
-        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value that is corrected for decay."""
+        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value that is corrected for decay; as flat as said."""
         level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
-        return np.sqrt(level / self.clock.mean_decay_times_duration)
+        counted = np.sqrt(level / self.clock.mean_decay_times_duration)
+        return counted ** (1.0 - self.flatness) * np.median(counted, axis=1, keepdims=True) ** self.flatness
 
     def flexible(self, shared: Array) -> Array:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""

@@ -1,0 +1,331 @@
+"""Image cases: a scan as the product sees it, and apart from it the answer; both follow from split, seed and index."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin_bench.withheld.cases import SPLITS
+from petkin_bench.withheld.causes import draw
+from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
+from petkin_bench.withheld.images.head import GRID, NAMES, VOXEL, draw_head
+from petkin_bench.withheld.images.strength import Filter, matched
+from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, means, pieces, taken
+from petkin_bench.withheld.noise import KINDS, law
+from petkin_bench.withheld.observe import Change
+from petkin_bench.withheld.subject import Blood, Frames, Subject, draw_subject
+from petkin_bench.withheld.visibility import Simulator, cosines, perpendicular, seen
+
+Array = NDArray[np.float64]
+
+#: Seconds of every frame: an hour.
+FRAMES_S = [15] * 4 + [30] * 4 + [60] * 3 + [180] * 3 + [300] * 9
+#: Kinds of case and their shares.
+_KINDS = {"none": 0.25, "known": 0.34, "other form": 0.14, "plain": 0.17, "unknown": 0.1}
+#: Bins of d' from which a strength is drawn.
+BINS = ((4.0, 6.0), (6.0, 10.0), (10.0, 20.0), (20.0, 50.0))
+#: FWHM of scanners, mm; where it is not 0, the simulator has partial volume in it.
+_WIDTHS = (0.0, 4.0, 6.0)
+_PERCENT = (8.0, 15.0)
+#: How often a part of the simulator is withheld in place of a plain cause.
+_PARTS = 0.45
+_TRIES, _CLOSE, _SAME, _FILTERED = 40, 0.1, 0.95, 400
+#: What sets image cases apart from regional ones of the same seed.
+_STREAM = 7
+
+
+@dataclass(frozen=True)
+class ImageScan:
+    """What the product is given.
+
+    Args:
+        image: kBq/mL, corrected for decay [x, y, z, K].
+        labels: regions 1 to R [x, y, z].
+        voxel: mm.
+        regions, frames, blood, model, includes: as of `cases.Scan`.
+    """
+
+    image: Array
+    labels: NDArray[np.int64]
+    voxel: float
+    regions: tuple[str, ...]
+    frames: Frames
+    blood: Blood
+    model: str
+    includes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ImageAnswer:
+    """What was withheld; fields as of `cases.Answer`.
+
+    Args:
+        size: of the effect, in mm for blur and motion.
+        width: of the scanner's point spread, mm.
+    """
+
+    kind: str
+    noise: str
+    percent: float
+    names: tuple[str, ...]
+    classes: tuple[tuple[str, ...], ...]
+    stages: tuple[str, ...]
+    detectability: float
+    perpendicular: float
+    ceiling: float
+    frame: int
+    region: int
+    size: float
+    width: float
+
+
+@dataclass(frozen=True)
+class _Scene:
+    rng: np.random.Generator
+    scanned: Scanned
+    simulator: Simulator
+    percent: float
+    share: float
+    freedom: int
+
+    def grain(self, image: Array) -> Grain:
+        scanned = self.scanned
+        return grain(image, scanned.head, scanned.subject.frames, self.percent, self.share, self.freedom)
+
+
+@dataclass(frozen=True)
+class _Made:
+    """A cause at its size: the picture with it, and what a refit leaves of it."""
+
+    cause: Cause
+    place: Place
+    size: float
+    scene: _Scene
+    image: Array
+    filter: Filter
+    fitted: Subject
+    left: Array
+    detectability: float
+
+
+def image_case(split: str, seed: int, index: int) -> tuple[ImageScan, ImageAnswer]:
+    """One case; the same arguments give the same bytes."""
+    rng = np.random.default_rng([SPLITS[split], seed, index, _STREAM])
+    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    noise = str(rng.choice(list(KINDS)))
+    share, freedom = KINDS[noise]
+    scanned = Scanned(draw_head(rng), _subject(rng), float(rng.choice(_WIDTHS)))
+    scene = _Scene(rng, scanned, Simulator(), float(rng.choice(_PERCENT)), share, freedom)
+    scene, image, answer = _answer(scene, kind, split, noise)
+    noisy = scene.grain(image).drawn(image, rng)
+    simulator, subject = scene.simulator, scene.scanned.subject
+    parts = (
+        ("blood_volume", simulator.blood_volume),
+        ("arterial_delay", simulator.delay),
+        ("partial_volume", scene.scanned.width > 0),
+    )
+    labels = scanned.head.labels
+    scan = ImageScan(
+        image=noisy,
+        labels=np.where(labels > len(NAMES), 0, labels),
+        voxel=VOXEL,
+        regions=NAMES,
+        frames=subject.frames,
+        blood=subject.blood,
+        model="2tcm" if simulator.second_tissue else "1tcm",
+        includes=tuple(name for name, there in parts if there),
+    )
+    return scan, answer
+
+
+def _subject(rng: np.random.Generator) -> Subject:
+    """A subject whose last region is the scalp, in the frames of image cases."""
+    subject = draw_subject(rng, len(NAMES) + 1)
+    edges = np.concatenate([[0.0], np.cumsum(FRAMES_S)]) / 60.0
+    return replace(subject, frames=Frames(edges[:-1], edges[1:], subject.frames.decay))
+
+
+def _answer(scene: _Scene, kind: str, split: str, noise: str) -> tuple[_Scene, Array, ImageAnswer]:
+    width = scene.scanned.width
+    if kind == "none":
+        image = taken(scene.scanned)
+        return scene, image, ImageAnswer(kind, noise, scene.percent, (), (), (), 0, 0, 0, -1, -1, 0, width)
+    if kind == "plain" and scene.rng.random() < _PARTS:
+        made = _withheld_part(scene)
+    else:
+        choice = {"known": SPATIAL, "other form": OTHER_FORMS[split], "plain": PLAIN, "unknown": UNKNOWN[split]}[kind]
+        made = _single(scene, choice, of_unknown=kind == "unknown")
+    cause, columns = made.cause, _columns(made)
+    names = (cause.name,) if cause.name else ()
+    same = _class(made, columns) if names else ()
+    drawn, frames = made.place.drawn, scene.scanned.subject.frames
+    answer = ImageAnswer(
+        kind=kind,
+        noise=noise,
+        percent=scene.percent,
+        names=names,
+        classes=(same,) if names else (),
+        stages=(cause.stage,),
+        detectability=made.detectability,
+        perpendicular=_beyond(made, [c for name, c in columns if name not in same]),
+        ceiling=_ceiling(made, columns, same, scene.rng) if names else 0.0,
+        frame=int(np.searchsorted(frames.end, drawn.onset)) if cause.onset else -1,
+        region=drawn.region if cause.local else -1,
+        size=made.size,
+        width=width,
+    )
+    return made.scene, made.image, answer
+
+
+def _place(scene: _Scene) -> Place:
+    drawn = draw(scene.rng, scene.scanned.subject)
+    drawn = replace(drawn, region=int(scene.rng.integers(len(NAMES))))
+    return Place(drawn, int(scene.rng.integers(3)), scene.scanned.head)
+
+
+def _possible(cause: Cause, scene: _Scene) -> bool:
+    """Blur is withheld only where the simulator has none."""
+    return cause.name != "partial_volume" or scene.scanned.width == 0
+
+
+def _single(scene: _Scene, causes: tuple[Cause, ...], *, of_unknown: bool) -> _Made:
+    """A cause that reaches its strength within what is plausible; of an unknown one, beyond all known ones."""
+    causes = tuple(c for c in causes if _possible(c, scene))
+    for _ in range(_TRIES):
+        cause = causes[int(scene.rng.integers(len(causes)))]
+        place, target = _place(scene), _target(scene)
+
+        def make(size: float, cause: Cause = cause, place: Place = place) -> _Made:
+            return _made(scene, cause, place, size)
+
+        made = _at_strength(make, cause.most, target)
+        if made is None or not of_unknown:
+            if made is not None:
+                return made
+            continue
+        beyond = _beyond(made, [c for _, c in _columns(made)])
+        made = _at_strength(make, cause.most, target * made.detectability / max(beyond, 1e-9))
+        if made is not None:
+            return made
+    raise RuntimeError(f"No cause reached its strength in {_TRIES} draws.")
+
+
+def _target(scene: _Scene) -> float:
+    return float(scene.rng.uniform(*BINS[int(scene.rng.integers(len(BINS)))]))
+
+
+def _at_strength(make: Callable[[float], _Made], most: float, target: float) -> _Made | None:
+    size = 0.3 * most
+    for _ in range(6):
+        made = make(size)
+        if abs(made.detectability / target - 1.0) < _CLOSE:
+            return made
+        wanted = size * target / max(made.detectability, 1e-6)
+        if wanted > 2.0 * most or (size >= most and made.detectability < target):
+            return None
+        size = min(wanted, most)
+    return None
+
+
+def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | None = None) -> _Made:
+    """The picture with a cause, and what is left of it once the simulator's kinetics and delay are refitted."""
+    scanned, head = scene.scanned, scene.scanned.head
+    image = taken(scanned, cause.build(size, place) if shot is None else shot)
+    noise = scene.grain(image)
+    simulator = scene.simulator
+    wanted = np.concatenate([means(image, head), pieces(scanned.subject, Change())[0][-1:]])
+    noise_law = law(wanted, scanned.subject.frames, scene.percent / 10.0, 0.0)
+    fitted = seen(wanted, simulator, scanned.subject, noise_law).fitted
+    here = replace(scanned, subject=fitted)
+    curves, derivatives = pieces(fitted, Change())
+    plain = taken(here)
+    refitted = _refitted(here, plain)
+    count = len(NAMES)
+    filtered = matched(here, curves[:count], derivatives[:count], noise, refitted)
+    left = filtered.left(image - plain)
+    return _Made(cause, place, size, scene, image, filtered, fitted, left, filtered.detectability(left))
+
+
+def _refitted(scanned: Scanned, plain: Array) -> list[Array]:
+    """What else is refitted: delay, and the width of a point spread that the simulator has."""
+    late = replace(scanned, subject=replace(scanned.subject, delay=scanned.subject.delay + 0.01))
+    found = [taken(late) - plain]
+    if scanned.width > 0:
+        found.append(taken(replace(scanned, width=scanned.width + 0.3)) - plain)
+        found.append(taken(replace(scanned, width=0.0)) - plain)
+    return found
+
+
+def _withheld_part(scene: _Scene) -> _Made:
+    """A part of the simulator that the subject has and the simulator lacks, made as weak as its strength asks."""
+    which = int(scene.rng.integers(3))
+    simulator = Simulator(which != 0, which != 1, which != 2)
+    name = ("second_tissue", "blood_volume", "arterial_delay")[which]
+    cause = Cause(name, ("tissue", "vascular", "input")[which], lambda size, place: AS_ALWAYS, 1.5, spatial=False)
+    place, late = _place(scene), float(scene.rng.choice([-1.0, 1.0]))
+
+    def make(size: float) -> _Made:
+        subject = scene.scanned.subject
+        if which == 0:
+            subject = replace(subject, rates=subject.rates * np.array([1.0, 1.0, size, 1.0]))
+        elif which == 1:
+            subject = replace(subject, vB=subject.vB * size)
+        else:
+            subject = replace(subject, delay=late * size / 3.0)
+        there = replace(scene, scanned=replace(scene.scanned, subject=subject), simulator=simulator)
+        return _made(there, cause, place, size, AS_ALWAYS)
+
+    return _at_strength(make, 1.5, _target(scene)) or make(1.0)
+
+
+def _columns(made: _Made) -> list[tuple[str, Array]]:
+    """What the refit leaves of every catalogued effect at a weak size, along all axes and in all regions."""
+    scanned = replace(made.scene.scanned, subject=made.fitted)
+    plain, found = taken(scanned), []
+    for cause in KNOWN:
+        if not _possible(cause, made.scene):
+            continue
+        for place in _places(made, cause):
+            change = taken(scanned, cause.build(0.15 * cause.most, place)) - plain
+            left = made.filter.left(change)
+            size = float(np.linalg.norm(left))
+            if size > 1e-6:
+                found.append((cause.name, left / size))
+    return found
+
+
+def _places(made: _Made, cause: Cause) -> list[Place]:
+    if cause.spatial and cause.name != "partial_volume" and not cause.local:
+        return [replace(made.place, axis=axis) for axis in range(3)]
+    if cause.local:
+        drawn = made.place.drawn
+        return [replace(made.place, drawn=replace(drawn, region=r)) for r in range(len(NAMES))]
+    return [made.place]
+
+
+def _class(made: _Made, columns: list[tuple[str, Array]]) -> tuple[str, ...]:
+    alike = cosines(np.stack([made.left, *(c for _, c in columns)], axis=1))[0, 1:]
+    return tuple(sorted({made.cause.name} | {name for (name, _), c in zip(columns, alike) if c >= _SAME}))
+
+
+def _beyond(made: _Made, others: list[Array]) -> float:
+    """Share of d' that no one and no two of the others explain, times d'."""
+    return made.detectability * perpendicular(made.left, others) / max(float(np.linalg.norm(made.left)), 1e-300)
+
+
+def _ceiling(made: _Made, columns: list[tuple[str, Array]], same: tuple[str, ...], rng: np.random.Generator) -> float:
+    """Share of noise draws in which the best matched filter, one a name and place, is one of the class."""
+    own = made.left / np.linalg.norm(made.left)
+    unit = np.stack([own, *(c for _, c in columns)], axis=1)
+    names = [made.cause.name, *(name for name, _ in columns)]
+    gram = unit.T @ unit
+    values, vectors = np.linalg.eigh(gram)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    scores = np.abs(made.detectability * gram[0] + rng.standard_normal((_FILTERED, len(names))) @ root.T)
+    return float(np.mean([names[k] in same for k in scores.argmax(axis=1)]))
+
+
+__all__ = ["BINS", "FRAMES_S", "GRID", "ImageAnswer", "ImageScan", "image_case"]

@@ -106,7 +106,8 @@ def outlying(residuals: Array) -> Array:
         return np.ones_like(residuals)
     beyond = residuals - np.median(residuals, axis=-2, keepdims=True)
     apart = np.abs(beyond)
-    usual = np.median(apart, axis=-1, keepdims=True) / 0.6745
+    own = 0.5 * np.abs(residuals)  # a quiet channel is itself the median of most samples, and never apart
+    usual = np.maximum(*(np.median(size, axis=-1, keepdims=True) for size in (apart, own))) / 0.6745
     jumps = np.abs(np.diff(beyond, axis=-1))
     ends = np.full((*jumps.shape[:-1], 1), np.inf)
     alone = np.minimum(np.concatenate([ends, jumps], axis=-1), np.concatenate([jumps, ends], axis=-1))

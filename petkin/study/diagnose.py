@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Diagnosis, Member, Visible, diagnose, foresee_design, in_common
+from petkin.diagnosis import Diagnosis, Member, Visible, base_fit, diagnose, foresee_design, in_common
 from petkin.effects import EFFECTS
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.errors import InputError
@@ -42,7 +42,7 @@ from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.request import DiagnoseRequest
-from petkin.study.diagnosis.scatter import Scatter, look_at_scatter, scattered
+from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
 from petkin.study.diagnosis.sidecar import Blunder, blunders
 from petkin.study.fit_report import directions
 from petkin.study.fit_scan import Progress
@@ -133,10 +133,10 @@ def _diagnosed(
 ) -> _One:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-    scatter, simulator = _law_of_noise(simulator, curves, request)
+    scatter, simulator, (fit, noise, *_) = _law_of_noise(simulator, curves, request)
     candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
     progress("looking at the image", 0.0)
-    imaged = look_at_image(source, curves, simulator, frozenset(h.name for h in candidates), seed=request.seed)
+    imaged = look_at_image(source, simulator, fit, noise, frozenset(h.name for h in candidates), seed=request.seed)
     odds = imaged.log_odds if imaged is not None else {}
     odds |= {b.effect: b.odds + odds.get(b.effect, 0.0) for b in shown}
     found = diagnose(
@@ -157,15 +157,17 @@ def _diagnosed(
 
 def _law_of_noise(
     simulator: RegionalSimulator, curves: RegionalCurves, request: DiagnoseRequest
-) -> tuple[Scatter | None, RegionalSimulator]:
-    """What the scatter of the values says of its law, None where nobody asks; and the simulator under that law."""
-    name = NOISE_VARIANCE.name
+) -> tuple[Scatter | None, RegionalSimulator, Base]:
+    """What the scatter of the values says of its law, None where nobody asks; the simulator under it, and its fit."""
+    name, base = NOISE_VARIANCE.name, base_fit(simulator, curves.values)
     if name in request.without:
-        return None, simulator
-    found = look_at_scatter(simulator, curves.values, seed=request.seed)
-    included = name in request.include
-    flatness = float(np.clip(found.flatness, 0.0, 1.0)) if included or found.claimed else 0.0
-    return None if included else found, replace(simulator, flatness=flatness)
+        return None, simulator, base
+    found, included = look_at_scatter(simulator, base, seed=request.seed), name in request.include
+    told = None if included else found
+    if not (included or found.claimed):
+        return told, simulator, base
+    simulator = replace(simulator, flatness=float(np.clip(found.flatness, 0.0, 1.0)))
+    return told, simulator, base_fit(simulator, curves.values)
 
 
 def _cohort(

@@ -138,3 +138,10 @@ def test_sizes_are_drawn_together_only_as_far_as_chance_could_part_them() -> Non
     np.testing.assert_allclose(pooled(apart, freedom), apart, rtol=0.12)
     np.testing.assert_allclose(pooled(7.0 * apart, freedom), 7.0 * pooled(apart, freedom))
     assert pooled(np.array([2.0]), np.array([30.0])) == 2.0
+
+
+def test_a_quiet_channel_between_loud_ones_is_not_wild() -> None:
+    """It is the median of most samples, so that what it usually lies apart from them is nothing."""
+    rng = np.random.default_rng(5)
+    residuals = rng.standard_normal((5, 23)) * np.array([3.0, 3.0, 0.1, 4.0, 4.0])[:, None]
+    assert outlying(residuals)[2].max() < 10.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, base_fit, smallest_set
-from petkin.io import RegionalCurves, read_regions
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Noise, smallest_set
+from petkin.io import read_regions
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.spatial import Looked, Voxels, look, read_voxels
 from petkin.study.sources import Source
@@ -29,20 +29,19 @@ class Imaged:
 
 
 def look_at_image(
-    source: Source, curves: RegionalCurves, simulator: RegionalSimulator, names: frozenset[str], *, seed: int
+    source: Source, simulator: RegionalSimulator, fit: Fit, noise: Noise, names: frozenset[str], *, seed: int
 ) -> Imaged | None:
     """The image's own evidence on spatial effects; None where regional curves are all there is.
 
     Args:
         source: the scan.
-        curves: means over the regions of its segmentation.
-        simulator: what predicts them.
+        simulator: what predicts the means over the regions of its segmentation.
+        fit, noise: of the simulator to them.
         names: of the candidates.
         seed: of the draws of noise.
     """
     if source.image is None or source.dseg is None or source.curves is not None:
         return None
-    fit, noise, *_ = base_fit(simulator, curves.values)
     voxels = read_voxels(source.image, read_regions(source.dseg, source.image), simulator, fit, noise)
     return Imaged(voxels, look(voxels, simulator, names, seed=seed))
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, base_fit
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Noise
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.study.diagnosis.regional import RegionalSimulator
 
@@ -57,22 +57,26 @@ class Scatter:
         return self.p_value <= _CLAIM and self.log_evidence >= _SURE
 
 
-def look_at_scatter(simulator: RegionalSimulator, data: Array, *, seed: int) -> Scatter:
+#: What `base_fit` finds: the simulator's fit, the noise, and what a flexible fit took and left.
+Base = tuple[Fit, Noise, list[Array], Array]
+
+
+def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> Scatter:
     """The flatness of the noise of regional curves.
 
     Args:
-        simulator: what predicts them, and how counts scatter.
-        data: (R, K), kBq/mL.
+        simulator: how counts scatter.
+        base: its fit to the curves.
         seed: of the draws.
     """
-    fit, noise, bases, loose = base_fit(simulator, data)
+    fit, noise, bases, loose = base
     spread = simulator.spread(np.maximum(fit.values, 0.0))
     left = loose * noise.spread / spread
     expected = np.log(_differenced_size(spread))
     rng = np.random.default_rng((seed, 29))
-    shape = (_DRAWS, *data.shape)
+    shape = (_DRAWS, *spread.shape)
     drawn = np.sqrt(1.0 - noise.share) * rng.standard_normal(shape)
-    drawn += np.sqrt(noise.share) * rng.standard_normal((_DRAWS, 1, data.shape[1]))
+    drawn += np.sqrt(noise.share) * rng.standard_normal((_DRAWS, 1, spread.shape[1]))
     for r, axes in enumerate(bases):
         drawn[:, r] -= (drawn[:, r] @ axes) @ axes.T
     null = _slope(drawn * spread, expected)

@@ -13,7 +13,7 @@ from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import GRID, NAMES, VOXEL, draw_head
 from petkin_bench.withheld.images.strength import Filter, matched
-from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, means, pieces, taken
+from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, means, pieces, retaken, taken
 from petkin_bench.withheld.noise import KINDS, law
 from petkin_bench.withheld.observe import Change
 from petkin_bench.withheld.subject import Blood, Frames, Subject, draw_subject
@@ -187,8 +187,9 @@ def _place(scene: _Scene) -> Place:
 
 
 def _possible(cause: Cause, scene: _Scene) -> bool:
-    """Blur is withheld only where the simulator has none."""
-    return cause.name != "partial_volume" or scene.scanned.width == 0
+    """Blur is withheld only where the simulator has none; a head moves only where there is some, else voxels jump."""
+    blurred = scene.scanned.width > 0
+    return not blurred if cause.name == "partial_volume" else blurred or not cause.name.startswith("motion")
 
 
 def _single(scene: _Scene, causes: tuple[Cause, ...], *, of_unknown: bool) -> _Made:
@@ -245,8 +246,9 @@ def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | N
     refitted = _refitted(here, plain)
     count = len(NAMES)
     filtered = matched(here, curves[:count], derivatives[:count], noise, refitted)
-    left = filtered.left(image - plain)
-    return _Made(cause, place, size, scene, image, filtered, fitted, left, filtered.detectability(left))
+    change = image - plain
+    reached = filtered.detectability(change)
+    return _Made(cause, place, size, scene, image, filtered, fitted, filtered.left(change), reached)
 
 
 def _refitted(scanned: Scanned, plain: Array) -> list[Array]:
@@ -289,7 +291,7 @@ def _columns(made: _Made) -> list[tuple[str, Array]]:
         if not _possible(cause, made.scene):
             continue
         for place in _places(made, cause):
-            change = taken(scanned, cause.build(0.15 * cause.most, place)) - plain
+            change = retaken(scanned, cause.build(0.15 * cause.most, place), plain) - plain
             left = made.filter.left(change)
             size = float(np.linalg.norm(left))
             if size > 1e-6:

@@ -89,7 +89,7 @@ def _step(pose: Callable[[float, Place], Pose]) -> Build:
 
 def _drift(course: Callable[[Array], Array]) -> Build:
     def build(size: float, place: Place) -> Shot:
-        nodes = np.linspace(0.0, 1.0, 6)
+        nodes = np.linspace(0.0, 1.0, 4)
 
         def poses(f: Frames) -> tuple[tuple[Array, Pose], ...]:
             at = course(passed(f))

@@ -5,6 +5,7 @@ Nothing of the product is used here. Lengths are in mm, the middle of the field 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -81,19 +82,41 @@ def draw_head(rng: np.random.Generator) -> Head:
 @lru_cache(maxsize=64)
 def points(pose: Pose) -> Array:
     """Where in the head the middle of every voxel lies (N, 3)."""
+    return _in_head(_middles(), pose)
+
+
+def _middles() -> Array:
     axis = (np.arange(GRID) - (GRID - 1) / 2) * VOXEL
-    at = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) - np.array(pose.moved)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _in_head(at: Array, pose: Pose) -> Array:
     c, s = np.cos(pose.turned), np.sin(pose.turned)
-    return at @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return (at - np.array(pose.moved)) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def painted(head: Head, pose: Pose, curves: Array, derivatives: Array) -> Array:
+@lru_cache(maxsize=40)
+def filled(head: Head, pose: Pose, fine: int) -> Array:
+    """Share of every voxel that each region and the scalp fill (R + 1, N), by so many points along an edge."""
+    count, middles = len(NAMES) + 1, _middles()
+    offsets = ((np.arange(fine) + 0.5) / fine - 0.5) * VOXEL
+    found = np.zeros((count + 1, len(middles)))
+    every = np.arange(len(middles))
+    for offset in itertools.product(offsets, repeat=3):
+        found[head.labelled(_in_head(middles + np.array(offset), pose)), every] += 1.0
+    return found[1:] / fine**3
+
+
+@lru_cache(maxsize=40)
+def _varied(head: Head, pose: Pose) -> Array:
+    return head.varied(points(pose))
+
+
+def painted(head: Head, pose: Pose, curves: Array, derivatives: Array, *, fine: int = 1) -> Array:
     """A sharp image [x, y, z, K] of curves (R + 1, K) that change by derivatives (R + 1, P, K) with the fields."""
-    at = points(pose)
-    labels = head.labelled(at)
-    inside = labels > 0
-    place = labels[inside] - 1
-    values = curves[place] + np.einsum("pn,npk->nk", head.varied(at[inside]), derivatives[place])
-    image = np.zeros((len(at), curves.shape[1]))
-    image[inside] = values
+    share, varied = filled(head, pose, fine), _varied(head, pose)
+    image = share.T @ curves
+    for own, by in zip(share, derivatives, strict=True):
+        inside = own > 0
+        image[inside] += own[inside, None] * (varied[:, inside].T @ by)
     return image.reshape(GRID, GRID, GRID, -1)

@@ -4,26 +4,30 @@ Voxels are weighed as if each had noise of its own and kinetics that vary about 
 
     Omega_r = (diag(a^2) + kappa J_r H J_r')^{-1},    w = Omega P delta / m^2,
 
-with P off the kinetics of the regions, delay and whatever else the simulator refits; d' is the signal of w over its true
-standard deviation, in which noise is shared by neighbours, kinetics vary smoothly and frames jitter.
+with P off the kinetics of the regions, delay and whatever else the simulator refits, and as far as frames jitter off
+their common factors; d' is the signal of w over its true standard deviation, in which noise is shared by neighbours,
+kinetics vary smoothly and frames jitter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from petkin_bench.withheld.images.head import GRID, LENGTH, NAMES, VARIED, VOXEL
-from petkin_bench.withheld.images.taking import Grain, Scanned
+from petkin_bench.withheld.images.taking import FWHM, SHARED, SHARED_MM, Grain, Scanned
 
 Array = NDArray[np.float64]
 
 #: Voxels over which kinetics vary together, over those which share noise.
 _KAPPA = 4.0
+#: What noise that neighbours share does to sums over many voxels, and next to no prior.
+_TOGETHER = (1.0 - SHARED) + SHARED * (2.0 * np.sqrt(np.pi) * SHARED_MM / FWHM / VOXEL) ** 3
+_FREE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Filter:
         place: region of each (N,).
         roots: Omega^{1/2} of every region (R, K, K).
         m: noise of each voxel, relative (N,).
-        axes: orthonormal columns of what is refitted (N K, p).
+        axes: columns A of what is refitted, with P = I - A A' (N K, p).
         derivatives: by kinetics (R, P, K).
         mean: curve of each region (R, K).
         noise: of the picture.
@@ -52,12 +56,16 @@ class Filter:
 
     def left(self, change: Array) -> Array:
         """What the refit leaves of a change of the image [x, y, z, K], whitened and flat."""
-        flat = self._white(change[self.inside])
-        return flat - self.axes @ (self.axes.T @ flat)
+        return self._left(self._white(change[self.inside]))
 
-    def detectability(self, left: Array) -> float:
-        """d' of what is left."""
-        return float(left @ left) / max(float(np.sqrt(self._variance(left))), 1e-300)
+    def detectability(self, change: Array) -> float:
+        """d' of a change of the image."""
+        flat = self._white(change[self.inside])
+        left = self._left(flat)
+        return float(left @ flat) / max(float(np.sqrt(self._variance(left))), 1e-300)
+
+    def _left(self, flat: Array) -> Array:
+        return flat - self.axes @ (self.axes.T @ flat)
 
     def _white(self, voxels: Array) -> Array:
         found = voxels / self.m[:, None]
@@ -103,11 +111,11 @@ def matched(scanned: Scanned, mean: Array, derivatives: Array, noise: Grain, ref
     inside = (labels > 0) & (labels <= len(NAMES))
     place = labels[inside] - 1
     m = noise.m[inside]
-    prior = _KAPPA * np.array(VARIED)[:, None] ** 2
+    varied = _KAPPA * np.array(VARIED)[:, None] ** 2
     roots = np.empty((len(NAMES), mean.shape[1], mean.shape[1]))
     for r, by in enumerate(derivatives):
         level = float(np.median(m[place == r]))
-        covariance = np.diag(noise.a**2) + (by.T @ (prior * by)) / level**2
+        covariance = np.diag(noise.a**2) + (by.T @ (varied * by)) / level**2
         values, vectors = np.linalg.eigh(covariance)
         roots[r] = (vectors / np.sqrt(values)) @ vectors.T
     empty = np.zeros((inside.sum() * mean.shape[1], 0))
@@ -118,7 +126,20 @@ def matched(scanned: Scanned, mean: Array, derivatives: Array, noise: Grain, ref
             change = np.zeros((*labels.shape, mean.shape[1]))
             change[labels == r + 1] = row
             columns.append(bare.left(change))
+    free = len(columns)
+    for k, jitter in enumerate(noise.jitter):
+        change = np.zeros((*labels.shape, mean.shape[1]))
+        change[inside, k] = jitter * mean[place, k]
+        columns.append(bare.left(change))
     stacked = np.stack(columns, axis=1)
-    stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
-    axes, size, _ = np.linalg.svd(stacked, full_matrices=False)
-    return Filter(inside, place, roots, m, axes[:, size > 1e-6 * size[0]], derivatives, mean, noise)
+    scale = np.linalg.norm(stacked, axis=0)
+    there = scale > 1e-6 * scale.max()
+    prior = np.where(np.arange(scale.size) < free, _FREE, np.sqrt(_TOGETHER) / np.maximum(scale, 1e-12))
+    return replace(bare, axes=_axes(stacked[:, there] / scale[there], prior[there]))
+
+
+def _axes(columns: Array, prior: Array) -> Array:
+    """A of A A' = C (C'C + diag(prior)^2)^{-1} C'."""
+    values, vectors = np.linalg.eigh(columns.T @ columns + np.diag(prior**2))
+    kept = values > 1e-12 * values[-1]
+    return (columns @ vectors[:, kept]) / np.sqrt(values[kept])

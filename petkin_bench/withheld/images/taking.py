@@ -20,10 +20,15 @@ FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))
 #: Activity of the scalp, as a share of what its kinetics would give.
 _SCALP = 0.35
 _QUOTIENT = 1e-4
+#: Points along the edge of a voxel where there is a point spread; a picture without one has sharp labels.
+_FINE = 3
 #: Noise that neighbours share: its width, mm, and its share of the variance.
 SHARED_MM, SHARED = 8.0, 0.5
 #: A voxel scatters as the root of its mean value, but as no less than this share of the head's.
 _LEAST = 0.15
+
+
+_NO_CHANGE = Change()
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ class Shot:
         camera: image [x, y, z, K] -> what the camera makes of it.
     """
 
-    change: Change = Change()
+    change: Change = _NO_CHANGE
     poses: Callable[[Frames], tuple[tuple[Array, Pose], ...]] | None = None
     wider: float = 0.0
     tailed: bool = False
@@ -59,16 +64,23 @@ class Scanned:
 def taken(scanned: Scanned, shot: Shot = AS_ALWAYS) -> Array:
     """The picture without noise [x, y, z, K]."""
     curves, derivatives = pieces(scanned.subject, shot.change)
-    frames = scanned.subject.frames
-    if shot.poses is None:
-        image = painted(scanned.head, REST, curves, derivatives)
-    else:
-        image = sum(share * painted(scanned.head, pose, curves, derivatives) for share, pose in shot.poses(frames))
-    image = spread_out(np.asarray(image), scanned.width)
+    frames, fine = scanned.subject.frames, _FINE if scanned.width else 1
+    poses = ((np.ones(len(frames.start)), REST),) if shot.poses is None else shot.poses(frames)
+    image = np.zeros((GRID, GRID, GRID, len(frames.start)))
+    for share, pose in poses:
+        image += share * painted(scanned.head, pose, curves, derivatives, fine=fine)
+    image = spread_out(image, scanned.width)
     image = spread_out(image, shot.wider)
     if shot.tailed:
         image = 0.7 * image + 0.3 * spread_out(image, 2.0 * shot.wider)
     return image if shot.camera is None else shot.camera(image, frames)
+
+
+def retaken(scanned: Scanned, shot: Shot, plain: Array) -> Array:
+    """As `taken`, from the picture without the cause where that is all that it changes."""
+    if shot.camera is None or shot.change is not AS_ALWAYS.change:
+        return taken(scanned, shot)
+    return shot.camera(plain, scanned.subject.frames)
 
 
 def pieces(subject: Subject, change: Change) -> tuple[Array, Array]:

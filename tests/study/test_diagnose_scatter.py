@@ -1,0 +1,65 @@
+"""The law of the noise: a flat one is named and its law used, counts and steps are left alone."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from petkin.diagnosis import base_fit
+from petkin.study.diagnose import diagnose_study, prepared, sources_of
+from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.scatter import Scatter, look_at_scatter
+from petkin.study.simulate import simulate
+from petkin.study.simulation import SimulationSettings
+
+SCHEMA = json.loads((files("petkin.reporting") / "schemas" / "gap-report-1.json").read_text())
+INCLUDES = ("blood_volume", "arterial_delay")
+
+
+def request_of(folder: Path, *effects: str, **options: object) -> DiagnoseRequest:
+    given = {"out": folder / "study", "noise": 20.0, "tracer": "reversible", "effect": list(effects)}
+    study = simulate(SimulationSettings.model_validate(given))
+    return DiagnoseRequest(study, include=INCLUDES, out=folder / "out", **options)  # type: ignore[arg-type]
+
+
+def scatter_of(request: DiagnoseRequest, change: object = None) -> Scatter:
+    _, _, (source,) = sources_of(request)
+    curves, simulator = prepared(source, request)
+    values = curves.values if change is None else curves.values * change
+    return look_at_scatter(simulator, base_fit(simulator, values), seed=0)
+
+
+def test_noise_that_is_the_same_always_is_named(tmp_path: Path) -> None:
+    (one,) = diagnose_study(request_of(tmp_path, "noise_variance=1"))
+    jsonschema.validate(one.answer, SCHEMA)
+    assert one.answer["verdict"]["set"][0] == "noise_variance"
+    leader = one.answer["causes"][0]
+    assert leader["estimate"]["amplitude"]["value"] > 0.5
+    assert one.answer["where"]["stages"][0]["stage"] == "noise"
+
+
+def test_counts_are_left_alone_and_so_is_a_step(tmp_path: Path) -> None:
+    request = request_of(tmp_path)
+    assert not scatter_of(request).claimed
+    late = np.where(np.arange(46) > 36, 1.3, 1.0)
+    assert not scatter_of(request, late).claimed
+
+
+def test_it_can_be_taken_out(tmp_path: Path) -> None:
+    (one,) = diagnose_study(request_of(tmp_path, "noise_variance=1", without=("noise_variance",)))
+    named = {name for cause in one.answer["causes"] for name in cause["effects"]}
+    assert "noise_variance" not in named | set(one.answer["verdict"]["set"])
+
+
+@pytest.mark.parametrize("flatness", [0.0, 0.5, 1.0])
+def test_evidence_is_that_of_a_mean_over_the_range(flatness: float) -> None:
+    from petkin.study.diagnosis.scatter import _log_evidence
+
+    error, grid = 0.15, np.linspace(0.0, 1.0, 4001)
+    likelihood = np.exp(-0.5 * ((flatness - grid) / error) ** 2 + 0.5 * (flatness / error) ** 2)
+    assert _log_evidence(flatness, error) == pytest.approx(np.log(likelihood.mean()), abs=2e-3)

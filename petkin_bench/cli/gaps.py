@@ -9,7 +9,7 @@ import typer
 
 
 def diagnose(
-    system: Annotated[str, typer.Option(help="pendulum, mass_spring or bouncing_ball.")],
+    system: Annotated[str, typer.Option(help="pendulum, mass_spring, bouncing_ball, double_pendulum or rigid_body.")],
     effect: Annotated[str | None, typer.Option(help="NAME or NAME=SHARE of its range; default: the catalogue.")] = None,
     trials: Annotated[int, typer.Option(help="Runs from starts of their own.", min=1)] = 3,
     noise: Annotated[float, typer.Option(help="Of a place, in units of the picture's half.", min=1e-6)] = 0.01,
@@ -95,7 +95,8 @@ def withheld(
         from petkin_bench.withheld.network import train_network
 
         work.mkdir(parents=True, exist_ok=True)
-        train_network(network, seed=LEARNED_SEED, count=examples, regions=regions, told=lambda t: typer.echo(t, err=True))
+        typer.echo(f"{examples} training cases are made", err=True)
+        train_network(network, seed=LEARNED_SEED, count=examples, regions=regions)
     judged = joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True)))
     found = image_metrics(judged) if images else metrics(judged)
     typer.echo(text_of(found))

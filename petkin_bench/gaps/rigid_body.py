@@ -2,10 +2,9 @@
 
     x' = v,  m v' = f,  I omega' = (R r) x f,  f = (fx, fy, 0), r = (1, 1, 1) / sqrt 3, m = 8, I = 16 / 3
 
-The pose is x and the rotation vector theta with R = exp(theta x), theta' = omega - theta x omega / 2 (world axes) to
-second order and exactly
+The pose is x and the rotation vector theta, R = exp(theta x), with omega along the world's axes and h = |theta| / 2:
 
-    theta' = omega + omega x theta / 2 + (1 - (h cos h) / sin h) / |theta|^2  theta x (theta x omega),  h = |theta| / 2
+    theta' = omega - theta x omega / 2 + (1 - h cot h) / |theta|^2  theta x (theta x omega)
 
 The camera is that of the rendered pictures: far away, looking down at 30 degrees, what is nearer is larger; it shows
 four corners of the cube.
@@ -101,9 +100,7 @@ RIGID_BODY = Body(
         hypothesis("drag_linear", "dynamics", "1/s", 0.0, 1.0, _SEVERAL),
         hypothesis("drag_quadratic", "dynamics", "1/m", 0.0, 1.0, _SEVERAL),
         hypothesis("spin_damping", "dynamics", "1/s", 0.0, 2.0, _SEVERAL),
-        hypothesis(
-            "forcing", "dynamics", "1", -1.0, 1.0, "a longer run", settings=({"pitch": 4.0}, {"pitch": 12.0})
-        ),
+        hypothesis("forcing", "dynamics", "1", -1.0, 1.0, "a longer run", settings=({"pitch": 4.0}, {"pitch": 12.0})),
         *CAMERA,
     ),
     interval=1.0 / 30.0,

@@ -8,7 +8,6 @@ the training split, whose forms and unnamed causes are not those of the score.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -107,9 +106,8 @@ def learned(seen: list[Features], wanted: Array, *, seed: int) -> Classifier:
     return network.eval()
 
 
-def train_network(path: Path, *, seed: int, count: int, regions: int, told: Callable[[str], None]) -> None:
+def train_network(path: Path, *, seed: int, count: int, regions: int) -> None:
     """Learn from training cases of a seed, and keep what was learned."""
-    told(f"{count} training cases are made")
     torch.save(learned(*examples(seed, count, regions), seed=seed).state_dict(), path)
 
 

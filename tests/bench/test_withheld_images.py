@@ -146,5 +146,3 @@ def test_an_image_case_has_an_answer_and_a_verdict_of_its_own() -> None:
     assert verdict["verdict"] in ("none", "named", "ambiguous", "unknown")
     assert len(str(verdict["answer_sha256"])) == 64
     image_metrics([Judged({k: str(v) for k, v in (answer | verdict).items()})])
-
-

@@ -154,7 +154,7 @@ class RegionalSimulator:
         return self._seen[key]
 
     def spread(self, values: Array) -> Array:
-        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value that is corrected for decay; as flat as said."""
+        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; as flat as said."""
         level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
         counted = np.sqrt(level / self.clock.mean_decay_times_duration)
         return counted ** (1.0 - self.flatness) * np.median(counted, axis=1, keepdims=True) ** self.flatness

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from petkin_bench.withheld.cases import SPLITS
 from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
-from petkin_bench.withheld.images.head import GRID, NAMES, VOXEL, draw_head
+from petkin_bench.withheld.images.head import NAMES, VOXEL, draw_head
 from petkin_bench.withheld.images.strength import Filter, matched
 from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, means, pieces, retaken, taken
 from petkin_bench.withheld.noise import KINDS, law
@@ -328,6 +328,3 @@ def _ceiling(made: _Made, columns: list[tuple[str, Array]], same: tuple[str, ...
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     scores = np.abs(made.detectability * gram[0] + rng.standard_normal((_FILTERED, len(names))) @ root.T)
     return float(np.mean([names[k] in same for k in scores.argmax(axis=1)]))
-
-
-__all__ = ["BINS", "FRAMES_S", "GRID", "ImageAnswer", "ImageScan", "image_case"]

@@ -161,8 +161,9 @@ def _from_regions(cause: regional.Cause) -> Cause:
     )
 
 
-
-def _everywhere(name: str, change: Callable[[Array, Frames, float, Place], Array], most: float, *, onset: bool = False) -> Cause:
+def _everywhere(
+    name: str, change: Callable[[Array, Frames, float, Place], Array], most: float, *, onset: bool = False
+) -> Cause:
     return Cause(name, "imaging", _camera(change), most, onset=onset, spatial=False)
 
 

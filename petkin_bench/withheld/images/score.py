@@ -40,7 +40,9 @@ def _share(name: str, hits: Sequence[bool], bar: float | None = None, side: str 
 
 
 def _alarms(nulls: Sequence[Judged]) -> list[Metric]:
-    each = [_share(f"false alarms, {k}", [c.claimed for c in nulls if c.cells["noise"] == k], 0.05, "<=") for k in KINDS]
+    each = [
+        _share(f"false alarms, {k}", [c.claimed for c in nulls if c.cells["noise"] == k], 0.05, "<=") for k in KINDS
+    ]
     return [*each, _share("false alarms, all", [c.claimed for c in nulls], 0.05, "<=")]
 
 
@@ -115,4 +117,6 @@ def _unknown(alien: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
 def _trust(cases: Sequence[Judged]) -> list[Metric]:
     told = [c for c in cases if c.words("set")]
     said, true = np.array([c.number("set_probability") for c in told]), np.array([float(c.covered) for c in told])
-    return [Metric("images: calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<=")]
+    return [
+        Metric("images: calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<=")
+    ]

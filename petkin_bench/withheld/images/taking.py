@@ -1,4 +1,4 @@
-"""Taking a picture: the head in its poses, the point spread, what the camera adds, noise. What causes change of that."""
+"""Taking a picture: the head in its poses, point spread, what the camera adds, noise; what causes change of that."""
 
 from __future__ import annotations
 

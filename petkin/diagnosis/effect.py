@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -50,6 +50,7 @@ class Hypothesis:
         split_by: the measurement that would tell it from what looks like it.
         log_odds: what is known of it before the data, beyond that it may be there.
         trust: part of the range that is likely where what it concerns was measured with care; 1 for all of it.
+        witness: who told `log_odds`; of effects that one witness told, the surest alone counts in a pair.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Hypothesis:
     split_by: str = ""
     log_odds: float = 0.0
     trust: float = 1.0
+    witness: str = ""
 
     @property
     def signed(self) -> bool:
@@ -103,6 +105,15 @@ class Term:
     hypothesis: Hypothesis
     amplitude: Any
     setting: Mapping[str, Any]
+
+
+def foreknown(terms: Sequence[Term]) -> float:
+    """Log odds of terms together before the data: what one witness said of several is the same evidence."""
+    told: dict[str, float] = {}
+    for hypothesis in (term.hypothesis for term in terms):
+        by = hypothesis.witness or hypothesis.name
+        told[by] = max(told.get(by, -np.inf), hypothesis.log_odds)
+    return float(sum(told.values()))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
-from petkin.diagnosis.effect import Hypothesis, Simulator, Term
+from petkin.diagnosis.effect import Hypothesis, Simulator, Term, foreknown
 from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
@@ -77,7 +77,7 @@ def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted
     if wanted.begin is None or leader is None or pair.fit is None:
         return replace(pair, log_evidence=pair.log_evidence - wanted.excess - SECOND)
     second = after_refit(leader, pair.fit, len(simulator.channels), len(leader.state.terms))
-    second += wanted.terms[-1].hypothesis.log_odds
+    second += foreknown(wanted.terms) - foreknown(wanted.begin.terms)
     return replace(pair, log_evidence=wanted.begin.log_evidence + second - wanted.excess - SECOND)
 
 
@@ -97,7 +97,8 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
         for name, value in second.by_hypothesis(each).items():
             key = tuple(sorted((*leader.names, name)))
             term = start(second, fit.residual, each, name)
-            score = leader.log_evidence + float(value) + term.hypothesis.log_odds
+            more = foreknown((*leader.terms, term)) - foreknown(leader.terms)
+            score = leader.log_evidence + float(value) + more
             if key not in wanted or score > wanted[key].score:
                 wanted[key] = _Wanted(score, (*leader.terms, term), leader, second.excess(each, name))
     return wanted

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
-from petkin.diagnosis.effect import Simulator, Term
+from petkin.diagnosis.effect import Simulator, Term, foreknown
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, State, parts, refit
@@ -123,7 +123,7 @@ def refitted(
     return Candidate(
         tuple(sorted(t.hypothesis.name for t in terms)),
         fit,
-        after_refit(base, fit, len(simulator.channels), known) + sum(t.hypothesis.log_odds for t in terms),
+        after_refit(base, fit, len(simulator.channels), known) + foreknown(terms),
         base.objective - fit.objective,
         fit.state.terms[known:],
     )

@@ -137,12 +137,14 @@ def _diagnosed(
     candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
     progress("looking at the image", 0.0)
     imaged = look_at_image(source, simulator, fit, noise, frozenset(h.name for h in candidates), seed=request.seed)
-    odds = imaged.log_odds if imaged is not None else {}
-    odds |= {b.effect: b.odds + odds.get(b.effect, 0.0) for b in shown}
+    seen = imaged.log_odds if imaged is not None else {}
+    odds = seen | {b.effect: b.odds + seen.get(b.effect, 0.0) for b in shown}
     found = diagnose(
         simulator,
         curves.values,
-        tuple(replace(h, log_odds=odds.get(h.name, 0.0)) for h in candidates),
+        tuple(
+            replace(h, log_odds=odds.get(h.name, 0.0), witness="image" if h.name in seen else "") for h in candidates
+        ),
         always=ALWAYS,
         seed=request.seed,
         progress=progress,

@@ -31,23 +31,29 @@ _CANVAS, _DISTANCE, _ELEVATION = 2.6, 8.0, math.pi / 6
 _SEVERAL = "pushes of several sizes and directions"
 
 
+def _cross(a: Array, b: Array) -> Array:
+    """a x b along the last axis; numpy's own takes three times as long on few vectors."""
+    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
 def rotated(theta: Array, vectors: Array) -> Array:
     """exp(theta x) of vectors (3,) or (P, 3), by Rodrigues' formula: (..., 3) or (..., P, 3)."""
     if vectors.ndim == 2:
         theta = theta[..., None, :]
     angle = np.linalg.norm(theta, axis=-1, keepdims=True)
-    once = np.cross(theta, vectors)
-    return vectors + np.sinc(angle / np.pi) * once + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * np.cross(theta, once)
+    once = _cross(theta, vectors)
+    return vectors + np.sinc(angle / np.pi) * once + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * _cross(theta, once)
 
 
 def _rate(q: Array, v: Array) -> Array:
     theta, omega = q[..., 3:], v[..., 3:]
-    once = np.cross(theta, omega)
+    once = _cross(theta, omega)
     half = 0.5 * np.linalg.norm(theta, axis=-1, keepdims=True)
     small = half < 1e-3
     safe = np.where(small, 1.0, half)
     bent = np.where(small, 1.0 / 12.0, (1.0 - safe * np.cos(safe) / np.sin(safe)) / (4.0 * safe**2))
-    return np.concatenate([v[..., :3], omega - 0.5 * once + bent * np.cross(theta, once)], axis=-1)
+    return np.concatenate([v[..., :3], omega - 0.5 * once + bent * _cross(theta, once)], axis=-1)
 
 
 def _law(t: float, q: Array, v: Array, p: Array, e: Effects) -> Array:
@@ -59,7 +65,7 @@ def _law(t: float, q: Array, v: Array, p: Array, e: Effects) -> Array:
     speed = np.linalg.norm(slow, axis=-1, keepdims=True)
     drag = size(e, "drag_linear") * slow + size(e, "drag_quadratic") * speed * slow
     faster = force / (_MASS * (1.0 + size(e, "mass_ratio"))) - drag - size(e, "gravity") * np.array([0.0, 0.0, 1.0])
-    torque = np.cross(lever, force) / (_INERTIA * (1.0 + size(e, "inertia")))
+    torque = _cross(lever, force) / (_INERTIA * (1.0 + size(e, "inertia")))
     return np.concatenate([faster, torque - size(e, "spin_damping") * turning], axis=-1)
 
 
@@ -79,8 +85,9 @@ def _start(points: Array, interval: float) -> Array:
         begin = least_squares(lambda q, seen=seen: (_points(q) - seen).ravel(), begin).x
         poses.append(begin)
     times = np.arange(few) * interval
-    fitted = np.polynomial.polynomial.polyfit(times, np.stack(poses), 2)
-    return np.concatenate([fitted[0], fitted[1]])
+    pose, rate, _ = np.polynomial.polynomial.polyfit(times, np.stack(poses), 2)
+    spin = rate[3:] + 0.5 * _cross(pose[3:], rate[3:])
+    return np.concatenate([pose, rate[:3], spin])
 
 
 RIGID_BODY = Body(
@@ -105,5 +112,5 @@ RIGID_BODY = Body(
     ),
     interval=1.0 / 30.0,
     frames=45,
-    steps=2,
+    steps=1,
 )

@@ -53,7 +53,6 @@ def test_a_pendulums_damping_is_named() -> None:
         ("double_pendulum", "damping_coulomb", ("damping_linear", "damping_quadratic")),
         ("double_pendulum", "gravity_tilt", ("camera_roll",)),
         ("rigid_body", "force_elevation", ()),
-        ("rigid_body", "inertia", ("lever",)),
         ("rigid_body", "spin_damping", ()),
         ("mass_spring", "mass_ratio", ()),
         ("bouncing_ball", "forcing", ()),

@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
+from petkin.diagnosis.effect import Hypothesis, Term, foreknown
 from petkin.diagnosis.noise import Noise, common_share, from_flexible, outlying, pooled, second_differences
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.sets import probabilities, smallest_set
@@ -145,3 +146,12 @@ def test_a_quiet_channel_between_loud_ones_is_not_wild() -> None:
     rng = np.random.default_rng(5)
     residuals = rng.standard_normal((5, 23)) * np.array([3.0, 3.0, 0.1, 4.0, 4.0])[:, None]
     assert outlying(residuals)[2].max() < 10.0
+
+
+def test_one_witness_is_heard_once() -> None:
+    def term(name: str, odds: float, witness: str = "") -> Term:
+        return Term(Hypothesis(name, "s", "a", "1", 0.0, 1.0, log_odds=odds, witness=witness), 0.0, {})
+
+    assert foreknown((term("a", 20.0, "w"), term("b", 15.0, "w"))) == 20.0
+    assert foreknown((term("a", 20.0, "w"), term("b", 15.0))) == 35.0
+    assert foreknown((term("a", -1.0, "w"), term("b", 4.0, "w"))) == 4.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def _alarms(nulls: Sequence[Judged]) -> list[Metric]:
 def _by_strength(named: Sequence[Judged]) -> list[Metric]:
     found = []
     edges = [0.9 * low for low, _ in BINS] + [np.inf]
-    for (low, high), start, stop in zip(BINS, edges, edges[1:], strict=True):
+    for (low, high), (start, stop) in zip(BINS, pairwise(edges), strict=True):
         part = [c for c in named if start <= c.strength < stop]
         ceiling = float(np.mean([c.number("ceiling") for c in part])) if part else float("nan")
         name, allowed = f"d' {low:g}-{high:g}", 0.15 if low < _STRONG else 0.05

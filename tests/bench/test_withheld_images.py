@@ -81,7 +81,7 @@ def test_noise_is_as_large_as_its_law_and_neighbours_share_it(scanned: Scanned) 
 def test_what_cannot_be_refitted_is_visible(scanned: Scanned) -> None:
     """d' grows with the size of a motion; the scan as it is has none."""
     rng = np.random.default_rng(1)
-    scene = cases._Scene(rng, scanned, cases.Simulator(), 10.0, 0.0, 0)
+    scene = cases._Scene(rng, replace(scanned, width=6.0), cases.Simulator(), 10.0, 0.0, 0)
     drawn = replace(draw(rng, scanned.subject), onset=25.0)
     place = Place(drawn, 0, scanned.head)
     step = next(c for c in KNOWN if c.name == "motion_step")
@@ -115,7 +115,7 @@ class cases_head:  # noqa: N801
 def judged(**cells: object) -> Judged:
     usual = {
         "kind": "known", "noise": "iid", "names": "motion_step", "classes": "motion_step", "stages": "imaging",
-        "detectability": 9.0, "ceiling": 0.97, "perpendicular": 8.0, "frame": 12, "region": -1, "size": 3.0,
+        "detectability": 8.0, "ceiling": 0.97, "perpendicular": 8.0, "frame": 12, "region": -1, "size": 3.0,
         "verdict": "named", "leader": "motion_step", "leader_probability": 0.9, "set": "motion_step",
         "set_probability": 0.95, "unknown_probability": 0.02, "stage": "imaging", "onset_frame": 13, "regions": "",
         "amplitude": 3.5, "unit": "mm", "seconds": 1.0,

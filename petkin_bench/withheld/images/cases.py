@@ -13,9 +13,9 @@ from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES, VOXEL, draw_head
 from petkin_bench.withheld.images.strength import Filter, matched
-from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, means, pieces, retaken, taken
+from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, pieces, retaken, taken
 from petkin_bench.withheld.noise import KINDS, law
-from petkin_bench.withheld.observe import Change
+from petkin_bench.withheld.observe import Change, observe
 from petkin_bench.withheld.subject import Blood, Frames, Subject, draw_subject
 from petkin_bench.withheld.visibility import Simulator, cosines, perpendicular, seen
 
@@ -233,22 +233,29 @@ def _at_strength(make: Callable[[float], _Made], most: float, target: float) -> 
 
 def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | None = None) -> _Made:
     """The picture with a cause, and what is left of it once the simulator's kinetics and delay are refitted."""
-    scanned, head = scene.scanned, scene.scanned.head
-    image = taken(scanned, cause.build(size, place) if shot is None else shot)
-    noise = scene.grain(image)
-    simulator = scene.simulator
-    wanted = np.concatenate([means(image, head), pieces(scanned.subject, Change())[0][-1:]])
-    noise_law = law(wanted, scanned.subject.frames, scene.percent / 10.0, 0.0)
-    fitted = seen(wanted, simulator, scanned.subject, noise_law).fitted
+    scanned = scene.scanned
+    shot = cause.build(size, place) if shot is None else shot
+    image = taken(scanned, shot)
+    fitted = _fitted(scene, shot)
     here = replace(scanned, subject=fitted)
     curves, derivatives = pieces(fitted, Change())
-    plain = taken(here)
-    refitted = _refitted(here, plain)
-    count = len(NAMES)
-    filtered = matched(here, curves[:count], derivatives[:count], noise, refitted)
+    plain, count = taken(here), len(NAMES)
+    filtered = matched(here, curves[:count], derivatives[:count], scene.grain(image), _refitted(here, plain))
     change = image - plain
     reached = filtered.detectability(change)
     return _Made(cause, place, size, scene, image, filtered, fitted, filtered.left(change), reached)
+
+
+def _fitted(scene: _Scene, shot: Shot) -> Subject:
+    """The simulator's subject: what it refits to sharp curves that a cause changes; else who is there.
+
+    What a picture changes besides is small and left to the projection.
+    """
+    subject = scene.scanned.subject
+    if shot.change is AS_ALWAYS.change and scene.simulator == Simulator():
+        return subject
+    wanted = observe(subject, (shot.change,))
+    return seen(wanted, scene.simulator, subject, law(wanted, subject.frames, scene.percent / 10.0, 0.0)).fitted
 
 
 def _refitted(scanned: Scanned, plain: Array) -> list[Array]:

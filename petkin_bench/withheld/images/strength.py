@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from petkin_bench.withheld.images.head import GRID, LENGTH, NAMES, VARIED, VOXEL
-from petkin_bench.withheld.images.taking import FWHM, SHARED, SHARED_MM, Grain, Scanned
+from petkin_bench.withheld.images.taking import FWHM, SHARED, SHARED_MM, Grain, Scanned, spread_out
 
 Array = NDArray[np.float64]
 
@@ -122,10 +122,8 @@ def matched(scanned: Scanned, mean: Array, derivatives: Array, noise: Grain, ref
     bare = Filter(inside, place, roots, m, empty, derivatives, mean, noise)
     columns = [bare.left(change) for change in refitted]
     for r, by in enumerate(derivatives):
-        for row in by:
-            change = np.zeros((*labels.shape, mean.shape[1]))
-            change[labels == r + 1] = row
-            columns.append(bare.left(change))
+        share = spread_out((labels == r + 1)[..., None].astype(float), scanned.width)
+        columns += [bare.left(share * row) for row in by]
     free = len(columns)
     for k, jitter in enumerate(noise.jitter):
         change = np.zeros((*labels.shape, mean.shape[1]))

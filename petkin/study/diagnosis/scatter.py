@@ -157,8 +157,7 @@ def _with(label: str) -> str:
 def _beside(cause: Cause, alone: Cause) -> Cause:
     if len(cause.effects) > 1:
         return cause
-    first = cause.effects[0] < alone.effects[0]
-    one, two = (cause, alone) if first else (alone, cause)
+    one, two = sorted((cause, alone), key=lambda c: c.label)
     return replace(
         cause,
         effects=(*one.effects, *two.effects),

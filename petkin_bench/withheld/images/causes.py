@@ -67,13 +67,12 @@ def _along(place: Place) -> Array:
     axis = (np.arange(GRID) - (GRID - 1) / 2) * VOXEL / float(place.head.radii[place.axis])
     shape = [1, 1, 1]
     shape[place.axis] = GRID
-    return place.drawn.sign * axis.reshape(shape)[..., None]
+    return np.asarray(place.drawn.sign * axis.reshape(shape)[..., None], np.float64)
 
 
 def _moved(size: float, place: Place) -> Pose:
-    moved = np.zeros(3)
-    moved[place.axis] = place.drawn.sign * size
-    return Pose(tuple(moved))
+    x, y, z = (place.drawn.sign * size if axis == place.axis else 0.0 for axis in range(3))
+    return Pose((x, y, z))
 
 
 def _step(pose: Callable[[float, Place], Pose]) -> Build:

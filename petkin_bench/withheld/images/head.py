@@ -87,7 +87,7 @@ def points(pose: Pose) -> Array:
 
 def _middles() -> Array:
     axis = (np.arange(GRID) - (GRID - 1) / 2) * VOXEL
-    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3), np.float64)
 
 
 def _in_head(at: Array, pose: Pose) -> Array:

@@ -84,6 +84,7 @@ def diagnose(
     progress("looking at every effect", 0.2)
     scan = _scan(simulator, noise, base, hypotheses)
     drawn = noise_draws(rng, draws, noise, tail_freedom(loose), bases)
+    drawn = scan.projection.left(drawn, rng.standard_normal((draws, base.pulled.size)))
     p = p_value(float(scan.statistic(base.residual)), scan.statistic(drawn))
     progress("refitting the likely ones", 0.4)
     explained = _explained(simulator, data, _Explained(noise, base, scan, []), hypotheses, always)
@@ -168,7 +169,7 @@ def _verdict(
         for c in listed
     )
     axes = projection.axes[: projection.rows]
-    left = (drawn - (drawn @ axes) @ axes.T).reshape(-1, *shape)
+    left = drawn.reshape(-1, *shape)
     gap = gaps.get(leader.label, base.residual)
     gap = (gap - axes @ (axes.T @ gap)).reshape(shape)
     residual = base.residual.reshape(shape)

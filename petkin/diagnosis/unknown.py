@@ -45,10 +45,10 @@ class Explanation(Protocol):
 
 @dataclass(frozen=True)
 class Smooth:
-    """The discrepancy around a fit, whitened and projected.
+    """The discrepancy around a fit, whitened.
 
     Args:
-        columns: P G of every time scale (n, m).
+        columns: G of every time scale (n, m).
         kinds: by time scale: which columns may be there at once (g, k), and their spread; any of the g is as likely.
     """
 
@@ -65,12 +65,12 @@ class Smooth:
             projected = columns - axes @ (axes.T @ columns)
             information = columns.T @ projected
             spreads = (evidence.Spread.of(information[g[:, :, None], g[:, None, :]]) for g in _groups(len(values)))
-            found.append(projected)
+            found.append(columns)
             kinds.append(tuple(zip(_groups(len(values)), spreads)))
         return cls(tuple(found), tuple(kinds))
 
     def evidence(self, residuals: Array) -> Array:
-        """log evidence of a discrepancy for whitened residuals (..., n)."""
+        """log evidence of a discrepancy for what a refit left of whitened data (..., n)."""
         found = []
         for columns, kinds in zip(self.columns, self.kinds):
             scores = residuals @ columns
@@ -117,8 +117,9 @@ def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[fl
     for candidate in ranked:
         fit, value = candidate.fit, candidate.log_evidence
         if fit is not None and looked < _BESIDE:
-            smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
-            more = min(float(smooth.evidence(fit.residual)), _SMALL * max(value, 0.0))
+            projection = Projection.of_fit(fit)
+            smooth = Smooth.around(fit.values, times, noise, projection)
+            more = min(float(smooth.evidence(projection.left_of(fit))), _SMALL * max(value, 0.0))
             value = float(np.logaddexp(value, value + more - _STRANGER))
             looked += 1
         found.append(value)

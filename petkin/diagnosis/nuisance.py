@@ -2,8 +2,9 @@
 
 P = I - J (J'J + L)^{-1} J',  taken on data and prior rows together, where it is a projector
 
-A refit leaves r = P_dd y + P_dp z of data y and of the prior's residual z = (m - x) / sd; a template g sees g'r, whose
-variance is g'P_dd g where y is white noise and x is drawn from its prior.
+A refit leaves r = P_dd y + P_dp z of data y and of the prior's residual z = (m - x) / sd: where the prior is off, it
+pulls, and r is not zero without any noise. A template g sees g'P_dd r, which is g'r less what the pull of the fit puts
+there, and noise is drawn with that pull.
 """
 
 from __future__ import annotations
@@ -41,6 +42,11 @@ class Projection:
         """What a refit leaves of data rows (..., n) and of the prior's residual (..., p)."""
         mine, theirs = self.axes[: self.rows], self.axes[self.rows :]
         return data - (data @ mine + prior @ theirs) @ mine.T
+
+    def priors(self, rng: np.random.Generator, count: int, fit: Fit) -> Array:
+        """Draws of the prior's residual (count, p) as a fit leaves it open: at what it is, as far as data tell."""
+        theirs = self.axes[self.rows :]
+        return fit.pulled + rng.standard_normal((count, theirs.shape[1])) @ theirs.T
 
     def left_of(self, fit: Fit) -> Array:
         """What the last step of a refit would leave of its residual (n,)."""

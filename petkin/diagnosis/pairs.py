@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 #: them, jointly, and of those that share a name with the best of them where it beats every single one.
 _WITHIN, _BESIDE, _JOINTLY, _AKIN = 7.0, 6, 5, 4
 #: Pairs are refitted where the scan puts them within this of the best single cause.
-_CLOSE = 4.0
+_CLOSE = 8.0
 #: Columns of a hypothesis that take part in the joint look, what an amplitude costs there, and cosines beyond which two
 #: columns are one.
 _COLUMNS, _AMPLITUDE, _ONE = 10, 2.5, 0.98
@@ -153,17 +153,19 @@ def _columns(scan: Scan, residual: Array) -> _Columns:
             templates.append(template)
             channels.append(channel)
     whole, stacked, sizes = np.stack(raw, axis=1), np.stack(projected, axis=1), np.array(information)
-    liked = (residual @ whole) ** 2 / sizes
+    liked = (residual @ stacked) ** 2 / sizes
     names = np.array([t.hypothesis.name for t in templates])
     mine = [np.flatnonzero(names == name) for name in dict.fromkeys(names)]
     kept = np.concatenate([m[np.argsort(-liked[m], kind="stable")[:_COLUMNS]] for m in mine])
-    return _Columns(whole[:, kept], stacked[:, kept], sizes[kept], [templates[k] for k in kept], [channels[k] for k in kept])
+    return _Columns(
+        whole[:, kept], stacked[:, kept], sizes[kept], [templates[k] for k in kept], [channels[k] for k in kept]
+    )
 
 
 def _explained(columns: _Columns, residual: Array) -> tuple[Array, Array]:
     """log evidence of every two columns, and the amplitude of the first beside the second."""
     gram = columns.raw.T @ columns.projected
-    score, size = columns.raw.T @ residual, columns.information
+    score, size = columns.projected.T @ residual, columns.information
     room = size[:, None] * size[None] - gram**2
     apart = gram**2 < _ONE**2 * size[:, None] * size[None]
     room = np.where(apart, room, np.inf)

@@ -65,7 +65,7 @@ class Scan:
 
     def amplitude(self, index: int, residual: Array) -> Array:
         """Linear fit of a template's amplitude to a residual, one or one a channel."""
-        score = residual @ self.columns[:, self._places[index]]
+        score = residual @ self.projected[:, self._places[index]]
         return np.asarray(np.linalg.solve(self.information(index), score), np.float64)
 
     def information(self, index: int) -> Array:
@@ -79,7 +79,7 @@ class Scan:
 
     def each(self, residuals: Array) -> Array:
         """log evidence of every template for what a refit left of data (..., n): (..., templates)."""
-        scores = residuals @ self.columns
+        scores = residuals @ self.projected
         found = np.empty((*residuals.shape[:-1], len(self.templates)))
         if self._by_channel:
             mine = np.stack([scores[..., self._places[i]] for i in self._by_channel], axis=-2)

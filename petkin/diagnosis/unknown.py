@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 12, 0.5
-#: Beside a name: what it costs in log evidence, and which share of the name's own it may add; where more is left than
-#: that, the name is not what the gap is. Beside how many explanations it is looked for.
-_STRANGER, _SMALL, _BESIDE = 4.0, 0.2, 6
+#: Beside a name: what it costs in log evidence, as a second cause does, and which share of the name's own it may add;
+#: where more is left than that, the name is not what the gap is. Beside how many explanations it is looked for.
+_STRANGER, _SMALL, _BESIDE = evidence.SECOND, 0.2, 6
 
 
 class Explanation(Protocol):
@@ -45,10 +45,10 @@ class Explanation(Protocol):
 
 @dataclass(frozen=True)
 class Smooth:
-    """The discrepancy around a fit, whitened.
+    """The discrepancy around a fit, whitened and projected.
 
     Args:
-        columns: G of every time scale (n, m).
+        columns: P G of every time scale (n, m).
         kinds: by time scale: which columns may be there at once (g, k), and their spread; any of the g is as likely.
     """
 
@@ -65,7 +65,7 @@ class Smooth:
             projected = columns - axes @ (axes.T @ columns)
             information = columns.T @ projected
             spreads = (evidence.Spread.of(information[g[:, :, None], g[:, None, :]]) for g in _groups(len(values)))
-            found.append(columns)
+            found.append(projected)
             kinds.append(tuple(zip(_groups(len(values)), spreads)))
         return cls(tuple(found), tuple(kinds))
 

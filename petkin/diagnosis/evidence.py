@@ -78,7 +78,7 @@ class Spread:
         return mean(0.5 * parts)
 
     def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool) -> Array:
-        """The same of amplitudes that differ between channels: all of them, or one alone, or where alike one for all."""
+        """The same of amplitudes that differ between channels: all of them, or one alone; one for all where alike."""
         lone = mean(two_sided(score / np.sqrt(self.diagonal)))
         one = two_sided(score.sum(axis=-1) / np.sqrt(self.total))
         return np.logaddexp(self.together(score), np.where(alike, one, lone)) - np.log(2.0)

@@ -86,7 +86,8 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
     """Every refitted cause with the second effect that its residual asks for.
 
     A cause that is true beside another may rank far below one that takes part of both; what counts is what it reaches
-    with the second. It is not asked where it would stay behind if that left noise alone. Templates stay those around the simulator's own fit; only what they are projected off is each leader's.
+    with the second. It is not asked where it would stay behind if that left noise alone. Templates stay those around
+    the simulator's own fit; only what they are projected off is each leader's.
     """
     wanted: dict[tuple[str, ...], _Wanted] = {}
     best = leaders[0].log_evidence

@@ -30,7 +30,7 @@ Progress = Callable[[str, float], None]
 
 #: Draws of noise for the test, and the p-value at which a gap is claimed: below 5 percent, since the draws are linear
 #: in what is refitted and know the law of the noise, and data do neither.
-_DRAWS, CLAIM = 400, 0.03
+_DRAWS, CLAIM = 400, 0.02
 #: Log evidence from which on an explanation's own residual tells the noise better than the first floor.
 _SURE = 5.0
 #: Spreads that differ by less than this are the same.

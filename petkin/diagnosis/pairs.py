@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 #: them, jointly, and of those that share a name with the best of them where it beats every single one.
 _WITHIN, _BESIDE, _JOINTLY, _AKIN = 7.0, 6, 5, 4
 #: Pairs are refitted where the scan puts them within this of the best single cause.
-_CLOSE = 8.0
+_CLOSE = 4.0
 #: Columns of a hypothesis that take part in the joint look, what an amplitude costs there, and cosines beyond which two
 #: columns are one.
 _COLUMNS, _AMPLITUDE, _ONE = 10, 2.5, 0.98
@@ -103,7 +103,7 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
             key = tuple(sorted((*leader.names, name)))
             term = start(second, residual, each, name)
             score = leader.log_evidence + float(value) + term.hypothesis.log_odds
-            if key not in wanted or score > wanted[key].score:
+            if key not in wanted:  # from the stronger of the two: evidence that goes by the weaker one is not the same
                 wanted[key] = _Wanted(score, (*leader.terms, term), leader, second.excess(each, name))
     return wanted
 

@@ -69,8 +69,7 @@ def singles(
     chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > best - _WITHIN) or n in strong]
     found = []
     for name in chosen:
-        terms = begun(simulator, data, noise, base, (start(scan, base.residual, each, name),))
-        near = refitted(simulator, data, noise, base, terms)
+        near = refitted(simulator, data, noise, base, (start(scan, base.residual, each, name),))
         near = _from_afar(simulator, data, noise, base, near) if name in always else near
         found.append(_averaged(near, scan, each))
     return _with_rest(found, by_name)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Diagnosis, diagnose
+from petkin.diagnosis import diagnose
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import State, refit
@@ -49,6 +49,7 @@ class Case:
         values: curves (C, K).
         simulator: what they are compared with.
         rival: curves and simulator without what was withheld or put in; None for a twin.
+        blunder: factor on the curves (K,).
     """
 
     group: str
@@ -57,6 +58,7 @@ class Case:
     values: Array
     simulator: RegionalSimulator
     rival: tuple[Array, RegionalSimulator] | None = None
+    blunder: Array | float = 1.0
 
 
 @dataclass(frozen=True)
@@ -130,9 +132,9 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
         moved = replace(timed, input=record.delayed((fitted_s + late) / SECONDS_PER_MINUTE), _seen={})
         yield Case("withheld", f"delay{late:+.0f}s", ("arterial_delay", "frame_offset"), values, moved, rival)
     for name, blunder in _BLUNDERS.items():
-        spoilt = values * blunder(scan.full.clock, rng)
+        factor = blunder(scan.full.clock, rng)
         for simulator in (scan.full, scan.cut("vascular_trapping")):
-            yield Case("blunder", name, (name,), spoilt, simulator, (values, simulator))
+            yield Case("blunder", name, (name,), values * factor, simulator, (values, simulator), factor)
 
 
 def _drawn(noise: Noise, rng: np.random.Generator) -> Array:
@@ -185,7 +187,7 @@ def _row(label: str, case: Case, seed: int) -> dict[str, object]:
         "first": _names(found.chosen[:1], case.accepted),
         "in_set": _names(found.chosen, case.accepted),
         "closure": "" if leader is None or leader.closure is None else round(leader.closure.value, 3),
-        "detectability": _detectability(found, case),
+        "detectability": _detectability(case),
         "cpu_s": round(seconds, 2),
     }
 
@@ -195,17 +197,23 @@ def _names(labels: tuple[str, ...], accepted: tuple[str, ...]) -> bool:
     return any(name in accepted for label in labels for name in label.split("+"))
 
 
-def _detectability(found: Diagnosis, case: Case) -> object:
-    """d' after the refit: how much worse these curves fit without the answer than with it, in the noise of either."""
+def _detectability(case: Case) -> object:
+    """d' after the refit: how far the simulator stays from what it would predict with the answer, in that noise.
+
+    d'^2 = min_theta |b f_with - f_without(theta)|^2, with b the blunder, which multiplies the noise as well. What these
+    scans depart by otherwise is not in it, and neither is the noise itself.
+    """
     if case.rival is None:
         return ""
     values, simulator = case.rival
-    noise = base_fit(simulator, values)[1]
-    with_it, without = (
-        min(refit(s, v, noise, State(own, s.shared.mean)).objective for own in s.starts)
-        for v, s in (case.rival, (case.values, case.simulator))
+    fit, noise, *_ = base_fit(simulator, values)
+    spoilt = replace(noise, spread=noise.spread * case.blunder)
+    known = fit.objective - fit.chi2
+    without = min(
+        refit(case.simulator, fit.values * case.blunder, spoilt, State(own, case.simulator.shared.mean)).objective
+        for own in case.simulator.starts
     )
-    return round(max(without - with_it, 0.0) ** 0.5, 1)
+    return round(max(without - known, 0.0) ** 0.5, 1)
 
 
 def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 #: Draws of noise for the test, and the p-value at which a gap is claimed: below 5 percent, since the draws are linear
-#: in what is refitted and know the law of the noise, and data do neither; of 130 scans of noise alone 6 fell below it.
+#: in what is refitted and know the law of the noise, and data do neither.
 _DRAWS, CLAIM = 400, 0.02
 #: Log evidence from which on an explanation's own residual tells the noise better than the first floor.
 _SURE = 5.0
@@ -84,6 +84,7 @@ def diagnose(
     progress("looking at every effect", 0.2)
     scan = _scan(simulator, noise, base, hypotheses)
     drawn = noise_draws(rng, draws, noise, tail_freedom(loose), bases)
+    drawn = scan.projection.left(drawn, scan.projection.priors(rng, draws, base))
     p = p_value(float(scan.statistic(base.residual)), scan.statistic(drawn))
     progress("refitting the likely ones", 0.4)
     explained = _explained(simulator, data, _Explained(noise, base, scan, []), hypotheses, always)
@@ -168,7 +169,7 @@ def _verdict(
         for c in listed
     )
     axes = projection.axes[: projection.rows]
-    left = (drawn - (drawn @ axes) @ axes.T).reshape(-1, *shape)
+    left = drawn.reshape(-1, *shape)
     gap = gaps.get(leader.label, base.residual)
     gap = (gap - axes @ (axes.T @ gap)).reshape(shape)
     residual = base.residual.reshape(shape)

@@ -46,6 +46,7 @@ class Hypothesis:
         settings: values of the other parameters to try, one mapping a start.
         shapes: which of them are fitted from there.
         by_channel: whether the amplitude differs between channels.
+        alike: whether it is then about the same in all of them, and not in some alone.
         flag: whether it is there or not, at amplitude 1.
         split_by: the measurement that would tell it from what looks like it.
         log_odds: what is known of it before the data, beyond that it may be there.
@@ -62,6 +63,7 @@ class Hypothesis:
     settings: tuple[Mapping[str, float], ...] = ({},)
     shapes: tuple[Shape, ...] = ()
     by_channel: bool = False
+    alike: bool = False
     flag: bool = False
     split_by: str = ""
     log_odds: float = 0.0

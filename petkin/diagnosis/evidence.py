@@ -5,7 +5,8 @@ barely visible to blatant, so that the answer does not hang on the unit of the a
 
     log B(t) = log int exp(z t - z^2 / 2) d ln z / ln(z1 / z0)
 
-One amplitude a channel: normal about zero with a width that is log-uniform too, or one channel alone.
+One amplitude a channel: normal about zero with a width that is log-uniform too, or else one channel alone; of an effect
+that acts everywhere alike, or else the same in all channels.
 """
 
 from __future__ import annotations
@@ -52,18 +53,21 @@ class Spread:
     Args:
         size, axes: eigenvalues (..., n) and vectors (..., n, n) of G'PG.
         diagonal: of G'PG (..., n).
+        total: sum of G'PG (...), of one amplitude for all.
     """
 
     size: Array
     axes: Array
     diagonal: Array
+    total: Array
 
     @classmethod
     def of(cls, information: Array) -> Spread:
         """From G'PG (..., n, n)."""
         size, axes = np.linalg.eigh(information)
         size = np.maximum(size, 1e-12 * np.maximum(size.max(axis=-1, keepdims=True), 1e-300))
-        return cls(size, axes, np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
+        total = np.maximum(information.sum(axis=(-2, -1)), 1e-300)
+        return cls(size, axes, np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300), total)
 
     def together(self, score: Array) -> Array:
         """log B for G'Pr: (*batch, ..., n) to (*batch, ...)."""
@@ -73,7 +77,8 @@ class Spread:
         parts = np.einsum("...j,...wj->...w", turned, variance / grown) - np.log(grown).sum(axis=-1)
         return mean(0.5 * parts)
 
-    def by_channel(self, score: Array) -> Array:
-        """The same of amplitudes that differ between channels: all of them, or one alone."""
+    def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool) -> Array:
+        """The same of amplitudes that differ between channels: all of them, or one alone; one for all where alike."""
         lone = mean(two_sided(score / np.sqrt(self.diagonal)))
-        return np.logaddexp(self.together(score), lone) - np.log(2.0)
+        one = two_sided(score.sum(axis=-1) / np.sqrt(self.total))
+        return np.logaddexp(self.together(score), np.where(alike, one, lone)) - np.log(2.0)

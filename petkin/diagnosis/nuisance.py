@@ -1,6 +1,10 @@
 """Projection: what a refit of the nuisance parameters leaves of a residual or a template.
 
 P = I - J (J'J + L)^{-1} J',  taken on data and prior rows together, where it is a projector
+
+A refit leaves r = P_dd y + P_dp z of data y and of the prior's residual z = (m - x) / sd: where the prior is off, it
+pulls, and r is not zero without any noise. A template g sees g'P_dd r, which is g'r less what the pull of the fit puts
+there, and noise is drawn with that pull.
 """
 
 from __future__ import annotations
@@ -33,6 +37,20 @@ class Projection:
     @classmethod
     def of_fit(cls, fit: Fit) -> Projection:
         return cls.of(fit.jacobian, fit.penalty)
+
+    def left(self, data: Array, prior: Array) -> Array:
+        """What a refit leaves of data rows (..., n) and of the prior's residual (..., p)."""
+        mine, theirs = self.axes[: self.rows], self.axes[self.rows :]
+        return data - (data @ mine + prior @ theirs) @ mine.T
+
+    def priors(self, rng: np.random.Generator, count: int, fit: Fit) -> Array:
+        """Draws of the prior's residual (count, p) as a fit leaves it open: at what it is, as far as data tell."""
+        theirs = self.axes[self.rows :]
+        return fit.pulled + rng.standard_normal((count, theirs.shape[1])) @ theirs.T
+
+    def left_of(self, fit: Fit) -> Array:
+        """What the last step of a refit would leave of its residual (n,)."""
+        return self.left(fit.residual, fit.pulled)
 
     def inner(self, left: Array, right: Array) -> Array:
         """a' P b for data columns a (n, i) and b (n, j)."""

@@ -22,13 +22,13 @@ from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.scan import Scan, Template, start
-from petkin.diagnosis.which import Candidate, after_refit, refitted
+from petkin.diagnosis.which import Candidate, after_refit, begun, excess, refitted
 
 Array = NDArray[np.float64]
 
-#: Leaders within this of the best are given a second effect, no more than so many; pairs refitted of those found beside
+#: Causes that a second effect could bring within this of the best are given one; pairs refitted of those found beside
 #: them, jointly, and of those that share a name with the best of them where it beats every single one.
-_WITHIN, _LEADERS, _BESIDE, _JOINTLY, _AKIN = 7.0, 4, 5, 5, 4
+_WITHIN, _BESIDE, _JOINTLY, _AKIN = 7.0, 6, 5, 4
 #: Pairs are refitted where the scan puts them within this of the best single cause.
 _CLOSE = 4.0
 #: Columns of a hypothesis that take part in the joint look, what an amplitude costs there, and cosines beyond which two
@@ -73,7 +73,8 @@ def _likeliest(wanted: dict[tuple[str, ...], _Wanted], best: float, most: int) -
 
 def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted: _Wanted) -> Candidate:
     leader = None if wanted.begin is None else wanted.begin.fit
-    pair = refitted(simulator, data, noise, base, wanted.terms, leader)
+    terms = begun(simulator, data, noise, base, wanted.terms, leader)
+    pair = refitted(simulator, data, noise, base, terms, leader)
     if wanted.begin is None or leader is None or pair.fit is None:
         return replace(pair, log_evidence=pair.log_evidence - wanted.excess - SECOND)
     second = after_refit(leader, pair.fit, len(simulator.channels), len(leader.state.terms))
@@ -82,24 +83,28 @@ def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted
 
 
 def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _Wanted]:
-    """The leaders with the second effect that their residual asks for.
+    """Every refitted cause with the second effect that its residual asks for.
 
-    Templates stay those around the simulator's own fit; only what they are projected off is each leader's.
+    A cause that is true beside another may rank far below one that takes part of both; what counts is what it reaches
+    with the second. It is not asked where it would stay behind if that left noise alone. Templates stay those around
+    the simulator's own fit; only what they are projected off is each leader's.
     """
     wanted: dict[tuple[str, ...], _Wanted] = {}
     best = leaders[0].log_evidence
-    for leader in [c for c in leaders if c.fit is not None and c.log_evidence > best - _WITHIN][:_LEADERS]:
+    for leader in leaders:
         fit = leader.fit
-        assert fit is not None
+        if fit is None or leader.log_evidence + 0.5 * excess(fit) < best - _WITHIN:
+            continue
         others = [t for t in scan.templates if t.hypothesis.name not in leader.names]
-        second = Scan(others, Projection.of_fit(fit), None)
-        each = second.each(fit.residual)
+        projection = Projection.of_fit(fit)
+        second, residual = Scan(others, projection, None), projection.left_of(fit)
+        each = second.each(residual)
         for name, value in second.by_hypothesis(each).items():
             key = tuple(sorted((*leader.names, name)))
-            term = start(second, fit.residual, each, name)
+            term = start(second, residual, each, name)
             more = foreknown((*leader.terms, term)) - foreknown(leader.terms)
             score = leader.log_evidence + float(value) + more
-            if key not in wanted or score > wanted[key].score:
+            if key not in wanted:  # from the stronger of the two: evidence that goes by the weaker one is not the same
                 wanted[key] = _Wanted(score, (*leader.terms, term), leader, second.excess(each, name))
     return wanted
 
@@ -108,6 +113,7 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
 class _Columns:
     """Single amplitudes: of which hypothesis, from which template, in which channel (-1: all)."""
 
+    raw: Array
     projected: Array
     information: Array
     templates: list[Template]
@@ -138,26 +144,29 @@ def _jointly(scan: Scan, residual: Array) -> dict[tuple[str, ...], _Wanted]:
 
 def _columns(scan: Scan, residual: Array) -> _Columns:
     """The columns of every hypothesis that the residual likes best, one a channel and one for all channels together."""
-    projected, information, templates, channels = [], [], [], []
-    for template, mine in zip(scan.templates, scan.by_template()):
-        sides = [(mine[:, c], c if mine.shape[1] > 1 else -1) for c in range(mine.shape[1])]
-        sides += [(mine.sum(axis=1), -1)] if mine.shape[1] > 1 else []
-        for column, channel in sides:
-            projected.append(column)
-            information.append(float(column @ column) + template.hypothesis.width**-2.0)
+    raw, projected, information, templates, channels = [], [], [], [], []
+    for template, (mine, left) in zip(scan.templates, scan.by_template()):
+        sides = [(mine[:, c], left[:, c], c if mine.shape[1] > 1 else -1) for c in range(mine.shape[1])]
+        sides += [(mine.sum(axis=1), left.sum(axis=1), -1)] if mine.shape[1] > 1 else []
+        for column, beyond, channel in sides:
+            raw.append(column)
+            projected.append(beyond)
+            information.append(float(column @ beyond) + template.hypothesis.width**-2.0)
             templates.append(template)
             channels.append(channel)
-    stacked, sizes = np.stack(projected, axis=1), np.array(information)
+    whole, stacked, sizes = np.stack(raw, axis=1), np.stack(projected, axis=1), np.array(information)
     liked = (residual @ stacked) ** 2 / sizes
     names = np.array([t.hypothesis.name for t in templates])
     mine = [np.flatnonzero(names == name) for name in dict.fromkeys(names)]
     kept = np.concatenate([m[np.argsort(-liked[m], kind="stable")[:_COLUMNS]] for m in mine])
-    return _Columns(stacked[:, kept], sizes[kept], [templates[k] for k in kept], [channels[k] for k in kept])
+    return _Columns(
+        whole[:, kept], stacked[:, kept], sizes[kept], [templates[k] for k in kept], [channels[k] for k in kept]
+    )
 
 
 def _explained(columns: _Columns, residual: Array) -> tuple[Array, Array]:
     """log evidence of every two columns, and the amplitude of the first beside the second."""
-    gram = columns.projected.T @ columns.projected
+    gram = columns.raw.T @ columns.projected
     score, size = columns.projected.T @ residual, columns.information
     room = size[:, None] * size[None] - gram**2
     apart = gram**2 < _ONE**2 * size[:, None] * size[None]

@@ -45,6 +45,7 @@ class Fit:
         residual: whitened (C K,).
         jacobian: whitened columns, own (C Po), shared (S), then those of the terms (C K, n).
         penalty: 1 / sd^2 of every column (n,).
+        pulled: (m - x) / sd of every column (n,), the residual of the prior.
         objective: chi-square and prior together.
         nuisance: how many columns are the simulator's own, before those of the terms.
     """
@@ -54,6 +55,7 @@ class Fit:
     residual: Array
     jacobian: Array
     penalty: Array
+    pulled: Array
     objective: float
     nuisance: int
 
@@ -112,6 +114,12 @@ def _lower(
     return None, damping
 
 
+def objective(simulator: Simulator, data: Array, noise: Noise, state: State) -> float:
+    """What a refit makes small, at a point."""
+    values = simulator.predict(state.own, state.shared, state.terms)
+    return _objective(simulator, noise, noise.whiten(data), state, values)
+
+
 def _objective(simulator: Simulator, noise: Noise, target: Array, state: State, values: Array) -> float:
     residual = target - noise.whiten(values)
     offset = _offsets(simulator, state)
@@ -135,8 +143,10 @@ def _at(
         jacobian = np.concatenate([noise.whiten(of_nuisance(simulator, state, values)).T, added], axis=1)
     else:
         jacobian = np.concatenate([known.jacobian[:, :nuisance], added], axis=1)
-    objective = _objective(simulator, noise, target, state, values)
-    return Fit(state, values, target - noise.whiten(values), jacobian, penalties(simulator, state), objective, nuisance)
+    residual, penalty = target - noise.whiten(values), penalties(simulator, state)
+    pulled = -np.sqrt(penalty) * _offsets(simulator, state)
+    objective = float(residual @ residual + pulled @ pulled)
+    return Fit(state, values, residual, jacobian, penalty, pulled, objective, nuisance)
 
 
 def of_nuisance(simulator: Simulator, state: State, values: Array) -> Array:

@@ -46,21 +46,22 @@ def templates(simulator: Simulator, noise: Noise, fit: Fit, hypotheses: Sequence
 
 
 class Scan:
-    """All templates at once against residuals, and against as many draws of noise as are wanted."""
+    """All templates at once against residuals that a refit left, and against as many draws of noise as are wanted."""
 
     def __init__(self, found: Sequence[Template], projection: Projection, smooth: Smooth | None) -> None:
         self.templates = tuple(found)
         self.columns = np.concatenate([t.columns for t in found], axis=1)
         axes = projection.axes[: projection.rows]
         self.projected = self.columns - axes @ (axes.T @ self.columns)
+        self.projection = projection
         ends = np.cumsum([t.columns.shape[1] for t in found])
         self._places = [slice(end - t.columns.shape[1], end) for t, end in zip(found, ends)]
         self._information = [self.columns[:, p].T @ self.projected[:, p] for p in self._places]
         self._smooth = smooth
 
-    def by_template(self) -> list[Array]:
-        """What the projection leaves of the columns of every template."""
-        return [self.projected[:, place] for place in self._places]
+    def by_template(self) -> list[tuple[Array, Array]]:
+        """The columns of every template, and what the projection leaves of them."""
+        return [(self.columns[:, place], self.projected[:, place]) for place in self._places]
 
     def amplitude(self, index: int, residual: Array) -> Array:
         """Linear fit of a template's amplitude to a residual, one or one a channel."""
@@ -77,12 +78,13 @@ class Scan:
         return max((i for i, t in enumerate(self.templates) if t.hypothesis.name == name), key=lambda i: each[i])
 
     def each(self, residuals: Array) -> Array:
-        """log evidence of every template for residuals (..., n): (..., templates)."""
+        """log evidence of every template for what a refit left of data (..., n): (..., templates)."""
         scores = residuals @ self.projected
         found = np.empty((*residuals.shape[:-1], len(self.templates)))
         if self._by_channel:
             mine = np.stack([scores[..., self._places[i]] for i in self._by_channel], axis=-2)
-            found[..., self._by_channel] = self._spread.by_channel(mine)
+            alike = np.array([self.templates[i].hypothesis.alike for i in self._by_channel])
+            found[..., self._by_channel] = self._spread.by_channel(mine, alike)
         for i, (template, place) in enumerate(zip(self.templates, self._places)):
             if not template.hypothesis.by_channel:
                 found[..., i] = _evidence(template.hypothesis, scores[..., place], self._information[i])

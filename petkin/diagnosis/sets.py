@@ -17,7 +17,7 @@ _MASS, ALIKE = 0.9, 0.95
 _TEMPERATURE = 2.0
 #: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
 #: often no explanation that was looked at is right, however likely it seems. Set by their log score on training scans.
-_STEEPNESS, _EVEN = 0.5, -1.2
+_STEEPNESS, _EVEN = 0.5, 0.0
 LAPSE = 0.05
 
 

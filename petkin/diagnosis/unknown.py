@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 12, 0.5
-#: Beside a name: what it costs in log evidence, and which share of the name's own it may add; where more is left than
-#: that, the name is not what the gap is. Beside how many explanations it is looked for.
-_STRANGER, _SMALL, _BESIDE = 4.0, 0.2, 6
+#: Beside a name: what it costs in log evidence, as a second cause does, and which share of the name's own it may add;
+#: where more is left than that, the name is not what the gap is. Beside how many explanations it is looked for.
+_STRANGER, _SMALL, _BESIDE = evidence.SECOND, 0.2, 6
 
 
 class Explanation(Protocol):
@@ -70,7 +70,7 @@ class Smooth:
         return cls(tuple(found), tuple(kinds))
 
     def evidence(self, residuals: Array) -> Array:
-        """log evidence of a discrepancy for whitened residuals (..., n)."""
+        """log evidence of a discrepancy for what a refit left of whitened data (..., n)."""
         found = []
         for columns, kinds in zip(self.columns, self.kinds):
             scores = residuals @ columns
@@ -117,8 +117,9 @@ def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[fl
     for candidate in ranked:
         fit, value = candidate.fit, candidate.log_evidence
         if fit is not None and looked < _BESIDE:
-            smooth = Smooth.around(fit.values, times, noise, Projection.of_fit(fit))
-            more = min(float(smooth.evidence(fit.residual)), _SMALL * max(value, 0.0))
+            projection = Projection.of_fit(fit)
+            smooth = Smooth.around(fit.values, times, noise, projection)
+            more = min(float(smooth.evidence(projection.left_of(fit))), _SMALL * max(value, 0.0))
             value = float(np.logaddexp(value, value + more - _STRANGER))
             looked += 1
         found.append(value)

@@ -11,7 +11,7 @@ from petkin.diagnosis import evidence
 from petkin.diagnosis.effect import Simulator, Term, foreknown
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
-from petkin.diagnosis.refit import Fit, State, parts, refit
+from petkin.diagnosis.refit import Fit, State, objective, parts, refit
 from petkin.diagnosis.scan import Scan, start
 
 Array = NDArray[np.float64]
@@ -23,6 +23,8 @@ _BELOW = 3.0
 _MOST_OCCAM = 4.0
 #: Gain of the objective from which on a gap is so large that a refit may end in a side valley; where it begins anew.
 _BLATANT, _FAR = 40.0, 0.3
+#: Share of a linear amplitude that a refit begins at where all of it fits worse.
+_WEAKER = 0.1
 #: Iterations of a refit, and after how many the simulator's own derivatives are taken again.
 _STEPS, _RENEWED = 4, 3
 
@@ -61,10 +63,9 @@ def singles(
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
     order = sorted(by_name, key=lambda name: -by_name[name])
     best = by_name[order[0]]
-    excess = base.chi2 - (base.residual.size - base.jacobian.shape[1])
     flags = {t.hypothesis.name for t in scan.templates if t.hypothesis.flag}
     foreseen = {t.hypothesis.name for t in scan.templates if t.hypothesis.log_odds > 0}
-    strong = foreseen | (always | flags if excess > _BLATANT else frozenset())
+    strong = foreseen | (always | flags if excess(base) > _BLATANT else frozenset())
     chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > best - _WITHIN) or n in strong]
     found = []
     for name in chosen:
@@ -72,6 +73,11 @@ def singles(
         near = _from_afar(simulator, data, noise, base, near) if name in always else near
         found.append(_averaged(near, scan, each))
     return _with_rest(found, by_name)
+
+
+def excess(fit: Fit) -> float:
+    """Chi-square beyond that of noise alone."""
+    return fit.chi2 - (fit.residual.size - fit.jacobian.shape[1])
 
 
 def again(
@@ -129,6 +135,24 @@ def refitted(
     )
 
 
+def begun(
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, terms: tuple[Term, ...], begin: Fit | None = None
+) -> tuple[Term, ...]:
+    """Terms with which a refit should begin: as they are or, where that fits better, those not in `begin` a tenth as
+    strong. A linear amplitude may lie far beyond what a curved effect needs."""
+    origin, settled = (begin or base).state, () if begin is None else begin.state.terms
+    weaker = tuple(t if t.hypothesis.flag or any(t is s for s in settled) else _weaker(t) for t in terms)
+
+    def reached(some: tuple[Term, ...]) -> float:
+        return objective(simulator, data, noise, State(origin.own, origin.shared, (*base.state.terms, *some)))
+
+    return min((terms, weaker), key=reached)
+
+
+def _weaker(term: Term) -> Term:
+    return replace(term, amplitude=_WEAKER * term.amplitude)
+
+
 def columns_of(fit: Fit, channels: int, known: int) -> list[dict[str, slice]]:
     """Where the parts of the terms after the first `known` stand in the Jacobian, the amplitude under ""."""
     place, found = fit.nuisance, []
@@ -167,7 +191,8 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
     information = nuisance.inner(columns, columns) + np.diag(fit.penalty[place])
     amplitude = np.asarray(term.amplitude, np.float64)
     linear = float(amplitude @ information @ amplitude)
-    return float(evidence.Spread.of(information).by_channel(information @ amplitude)) + 0.5 * (gain - linear)
+    spread = evidence.Spread.of(information)
+    return float(spread.by_channel(information @ amplitude, hypothesis.alike)) + 0.5 * (gain - linear)
 
 
 def _log_volume(jacobian: Array, penalty: Array) -> float:

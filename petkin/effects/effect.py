@@ -36,6 +36,7 @@ class Effect:
         change: the change itself, given a value for every parameter.
         split_by: the measurement that tells it from what looks like it.
         regional: parameters that may differ between regions, the amplitude first.
+        alike: whether all regions then have about the same amplitude; else it may act in some of them alone.
         flag: whether it is there or not, with no strength of its own.
         grid: values at which a diagnosis starts, by symbol, of parameters other than the amplitude; those that are not
             named here and not "onset", "frame" or "region" stay at their start.
@@ -51,6 +52,7 @@ class Effect:
     change: Change
     split_by: str = ""
     regional: tuple[str, ...] = ()
+    alike: bool = False
     flag: bool = False
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     suits: Callable[[ForwardModel], bool] = _always

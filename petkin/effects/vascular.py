@@ -40,6 +40,7 @@ BLOOD_VOLUME_EFFECT = Effect(
     change=_fill,
     split_by="early frames of 5 s or less, or a scan of labelled blood",
     regional=("vB",),
+    alike=True,
 )
 
 VASCULAR_TRAPPING = Effect(
@@ -51,4 +52,5 @@ VASCULAR_TRAPPING = Effect(
     change=_trap,
     split_by="a scan after blocking, or a longer scan",
     regional=("Kb",),
+    alike=True,
 )

@@ -204,6 +204,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         settings=_settings(effect, simulator.clock),
         shapes=tuple(shapes),
         by_channel=bool(effect.regional),
+        alike=effect.alike,
         flag=effect.flag,
         split_by=effect.split_by,
         trust=effect.trust if effect.name in simulator.measured else 1.0,

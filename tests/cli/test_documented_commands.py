@@ -24,6 +24,7 @@ from .tiny_study import BLOOD, DURATIONS, IMAGE, STARTS, dump, labels, save
 ROOT = Path(__file__).parents[2]
 PAGES = ("README.md", *(f"docs/{page}.md" for page in ("diagnosing", "fitting", "learning", "scale", "simulating")))
 _FENCED, _INLINE = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL), re.compile(r"`(petkin [a-z]+ [^`]+)`")
+_FILES = re.compile(r"^```toml\n# (\w+\.toml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _PATTERN = re.compile(r"\b(BIDS_DIR|COMMAND|DIR|FILE|FWHM|MM|N|NAME|PERCENT|SYMBOL|VALUE)\b|tcp://")
 
 
@@ -56,6 +57,9 @@ def beside(study: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (folder / "pet.nii.gz").write_bytes((study / IMAGE).read_bytes())
     (folder / "blood.tsv").write_text((study / BLOOD).read_text())
     dump(folder / "frames.json", {"FrameTimesStart": STARTS, "FrameDuration": DURATIONS})
+    for page in PAGES:
+        for name, text in _FILES.findall((ROOT / page).read_text()):
+            (folder / name).write_text(text)
     for name in ("brain.nii.gz", "mask.nii.gz"):
         save(folder / name, (labels() > 0).astype(np.uint8))
     monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: "")

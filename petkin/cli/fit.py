@@ -154,6 +154,12 @@ def fit(
     weights: Annotated[
         str, typer.Option(help="counting, constant, or a table with a column 'weight'.", rich_help_panel=_MODEL)
     ] = "counting",
+    until: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MIN", help="Fit frames that end by then; forecast the later ones.", rich_help_panel=_MODEL
+        ),
+    ] = None,
     observation: Annotated[
         str,
         typer.Option(
@@ -288,6 +294,7 @@ def fit(
         delay=delay_in_minutes(delay),
         share_delay=DELAY in (share or ()),
         weights=weights,
+        until=until,
         observation=observation,
         parent_fraction=parent_fraction,
         plasma_from=plasma_from,

@@ -133,7 +133,7 @@ class CompartmentModel:
         tissue = (phi[..., None] * observation.of_response(arterial.plasma, rate)).sum(dim=-2)
         blood = alike(observation.of_forcing(arterial.whole_blood), vB)[0]
         if self.wall:
-            blood = blood + parameters[..., -2:-1] * observation.of_response(arterial.plasma, rate.new_zeros(()))
+            blood = blood + parameters[..., -2:-1] * observation.of_response(arterial.plasma, alike(0.0, rate)[0])
         return (1.0 - vB) * tissue + vB * blood
 
     def macro(self, parameters: Float[Tensor, "*b P"]) -> dict[str, Tensor]:

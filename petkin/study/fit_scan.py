@@ -17,6 +17,7 @@ from petkin.methods import Method
 from petkin.study.blocks import fit_voxels
 from petkin.study.certainty import check_regions, chosen_model, more_certain
 from petkin.study.dispersion import freed_input
+from petkin.study.forecast import with_forecast
 from petkin.study.geometry import PartialVolume, denoise, denoising_remark, partial_volume
 from petkin.study.mid_frame import mid_frame_shift
 from petkin.study.reference import reference_curve
@@ -120,6 +121,8 @@ def fit_scan(
                 progress(step, 0.4 + 0.5 * (i + 0.3 * done) / len(methods))
 
             result = more_certain(result, method, curves, given, request, closer)
+            if request.until is not None:
+                result = with_forecast(result, method, curves, given, request.choices, request.until)
             regional.append(_completed(result, applied))
             compared = request.observation == "frame" and method.comparable
             shifts.append(mid_frame_shift(result, method, curves, given, request.choices) if compared else "")

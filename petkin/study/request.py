@@ -41,6 +41,7 @@ class FitRequest:
         delay: "estimate", or minutes.
         share_delay: estimate the delay from all regions at once instead of the whole brain.
         weights: "counting", "constant", or a table with a column `weight`.
+        until: min; frames that end later are forecast, not fitted. None fits all.
         observation: "frame" (decay-weighted mean), "plain" (time average) or "mid" (value at mid-frame).
         parent_fraction: model of the parent fraction.
         plasma_from: "plasma", or "whole_blood" where no plasma was measured.
@@ -76,6 +77,7 @@ class FitRequest:
     delay: str | float = "estimate"
     share_delay: bool = False
     weights: str = "counting"
+    until: float | None = None
     observation: str = "frame"
     parent_fraction: str = "auto"
     plasma_from: str = "plasma"
@@ -145,6 +147,8 @@ def _check_numbers(request: FitRequest) -> None:
         raise InputError(f"{twice[0]} is given to --fix and to --bounds; hold it or bound it.")
     if request.choices.bounds.get("vB", (0.0, 1.0))[1] > 1.0:
         raise InputError(f"Bounds of vB reach {request.choices.bounds['vB'][1]:g}; a fraction of volume is at most 1.")
+    if request.until is not None and not 0 < request.until < math.inf:
+        raise InputError(f"--until is {request.until:g}; give minutes from injection, above 0.")
     if t_star is not None and not 0 <= t_star < math.inf:
         raise InputError(f"--t-star is {t_star:g}; give minutes from injection, 0 or more.")
     if dispersion is not None and not 0 <= dispersion < math.inf:

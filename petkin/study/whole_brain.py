@@ -20,6 +20,8 @@ from petkin.study.sources import Source
 
 #: Frames as long as this (min), all of them while the tracer arrives, average a delay of seconds away.
 _LONG, _ARRIVAL = 0.75, 3.0
+#: Times closer than this are one, min.
+_SAME_TIME = 1e-3
 
 
 def whole_brain(voxels: VoxelCurves | None, curves: RegionalCurves | None) -> NDArray[np.float64]:
@@ -45,8 +47,27 @@ def frame_weights(whole: NDArray[np.float64], source: Source, request: FitReques
     """Frame weights (K,) as asked, and a sentence on them.
 
     Raises:
-        InputError: no activity to derive them from; a table without a column `weight`, or of another length.
+        InputError: no activity to derive them from; a table without a column `weight`, or of another length; no frame
+            to fit, or none to forecast.
     """
+    weights, how = _all_weights(whole, source, request)
+    if request.until is None:
+        return weights, how
+    later = after(source.frames, request.until)
+    if later.all() or not later.any():
+        raise InputError(
+            f"{source.label}: frames end at {source.frames.end[0]:.4g} to {source.frames.end[-1]:.4g} min; "
+            f"--until {request.until:g} leaves none to {'fit' if later.all() else 'forecast'}."
+        )
+    return np.where(later, 0.0, weights), f"{how}; frames that end after {request.until:g} min are forecast, not fitted"
+
+
+def after(frames: FrameSchedule, minutes: float) -> NDArray[np.bool_]:
+    """Frames that end later (K,)."""
+    return frames.end > minutes + _SAME_TIME
+
+
+def _all_weights(whole: NDArray[np.float64], source: Source, request: FitRequest) -> tuple[NDArray[np.float64], str]:
     if request.weights == "counting":
         if not whole.max() > 0:
             raise InputError(f"{source.label}: the mean of all curves is nowhere above zero; is it the right mask?")

@@ -175,6 +175,29 @@ def test_weights(study: Path, petkin_command: Command) -> None:
         np.testing.assert_allclose(values, found["w_k"], rtol=0.03)
 
 
+def test_later_frames_are_forecast(exact: Path, petkin_command: Command) -> None:
+    options = ("--model", "1TCM", "--model", "Logan", "--level", "region", "--until", 30, "--t-star", 10, "--delay", 0)
+    fit(petkin_command, exact, *map(str, options))
+    before, sidecar = kinpar(exact)
+    assert (before["forecast"] < 0.5).all(), "curves are one tissue without noise"
+    assert "after 30 min" in sidecar["forecast"]["Description"]
+    assert "forecast, not fitted" in sidecar["Weights"]
+    assert "forecast" not in kinpar(exact, "Logan")[0], "a plot does not say what frames hold"
+    late = np.add(STARTS, DURATIONS) > 30 * 60
+    save(exact / IMAGE, np.where(late, 1.5, 1.0) * image())
+    fit(petkin_command, exact, *map(str, options))
+    after, _ = kinpar(exact)
+    np.testing.assert_allclose(after[["K1", "VT"]], before[["K1", "VT"]], rtol=1e-3)
+    np.testing.assert_allclose(after["forecast"], 100.0 * (1.0 - 1.0 / 1.5), rtol=0.05)
+
+
+@pytest.mark.parametrize(("minutes", "said"), [(0, "--until is 0"), (0.1, "none to fit"), (600, "none to forecast")])
+def test_what_cannot_be_forecast_is_told_in_a_line(study: Path, petkin_command: Command, minutes, said) -> None:
+    ran = petkin_command("fit", study, "--model", "1TCM", "--until", minutes)
+    assert (ran.status, ran.err.count("\n")) == (2, 1)
+    assert said in ran.err
+
+
 @pytest.mark.parametrize("observation", ["frame", "plain", "mid"])
 def test_observation(exact: Path, petkin_command: Command, observation: str) -> None:
     """The image holds decay-weighted means; other ways to read a frame leave residuals."""

@@ -19,9 +19,7 @@ def _law(t: float, q: Array, v: Array, p: Array, e: Effects) -> Array:
     drag = size(e, "drag_linear") * v + size(e, "drag_quadratic") * speed * v
     spun = size(e, "magnus") * np.stack([-v[..., 1], v[..., 0]], axis=-1)
     pull = p[0] * np.stack([np.sin(tilt) + 0.0 * q[..., 0], -np.cos(tilt) + 0.0 * q[..., 0]], axis=-1)
-    pitch = e["forcing"].setting["pitch"] if "forcing" in e else 0.0
-    blown = size(e, "wind") + size(e, "forcing") * np.sin(pitch * t)
-    return pull - drag + spun + np.array([1.0, 0.0]) * blown
+    return pull - drag + spun + np.array([1.0, 0.0]) * size(e, "wind")
 
 
 def _points(q: Array) -> Array:
@@ -43,9 +41,6 @@ BOUNCING_BALL = Body(
     hypotheses=(
         hypothesis("gravity_tilt", "dynamics", "rad", -0.6, 0.6, _BOUNCES),
         hypothesis("wind", "dynamics", "m/s^2", -2.0, 2.0, "flights at several speeds"),
-        hypothesis(
-            "forcing", "dynamics", "m/s^2", -2.0, 2.0, "a longer run", settings=({"pitch": 2.0}, {"pitch": 6.0})
-        ),
         hypothesis("drag_linear", "dynamics", "1/s", 0.0, 0.5, "flights at several speeds"),
         hypothesis("drag_quadratic", "dynamics", "1/m", 0.0, 0.2, "flights at several speeds"),
         hypothesis("magnus", "dynamics", "1/s", -0.5, 0.5, "a ball without spin"),

@@ -56,7 +56,6 @@ def test_a_pendulums_damping_is_named() -> None:
         ("rigid_body", "force_elevation", ()),
         ("rigid_body", "spin_damping", ()),
         ("mass_spring", "mass_ratio", ()),
-        ("bouncing_ball", "forcing", ()),
     ],
 )
 def test_what_was_put_in_is_in_the_set(system: str, effect: str, alike: tuple[str, ...]) -> None:

@@ -84,4 +84,4 @@ def test_what_was_learned_fits_a_study(study: Path, petkin_command: Callable[...
     for path in maps.values():
         values = np.asarray(nibabel.load(path).dataobj)
         assert np.isfinite(values[status == Status.OK]).all()
-    assert json.loads(Path(str(maps["fNN"]).replace(".nii.gz", ".json")).read_text())["Units"] == "kBq mL^-1 min^-1"
+    assert json.loads(Path(str(maps["fNN"]).replace(".nii.gz", ".json")).read_text())["Units"] == "kBq mL-1 min-1"

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 
 from petkin.dynamics.arrays import alike, library
 from petkin.dynamics.exponential import exp_divided_difference
@@ -24,6 +23,7 @@ from petkin.dynamics.recurrence import linear_recurrence
 from petkin.errors import InputError
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
     from torch import Tensor
 
 #: Of numpy or of torch.

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 from petkin.dynamics.arrays import library
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
     from torch import Tensor
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from jaxtyping import Float
-
 from petkin.dynamics.jumps import Jump
 from petkin.dynamics.parameters import ParameterSet
 from petkin.errors import InputError
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
     from torch import Tensor
 
 

@@ -64,9 +64,9 @@ def off_atoms(basis: Array, slope: Array, axes: Array) -> tuple[Array, Array]:
     off[np.linalg.norm(off, axis=1) < _SAME * np.linalg.norm(basis, axis=1)] = 0.0
     cubics = _cubics(off, slope - lean_change @ axes)
     numbers = np.zeros((len(cubics), NUMBERS))
+    products = cubics.transpose(0, 2, 1) @ cubics
     for i in range(4):
-        for j in range(4):
-            numbers[:, i + j] += (cubics[..., i] * cubics[..., j]).sum(axis=1)
+        numbers[:, i : i + 4] += products[:, i]
     numbers[:, 7:15] = _cubics(lean, lean_change).reshape(-1, 8)
     return cubics, numbers
 

@@ -15,6 +15,7 @@ Wu Y, Carson RE. J Cereb Blood Flow Metab 2002;22:1440-1452, doi:10.1097/01.WCB.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +33,11 @@ from petkin.fitting.table import RATE_OFFSET, Compression, build_table, compress
 
 Array = NDArray[np.float64]
 
-#: Values of k2' tried before the minimum is polished, on about so many of the curves: which of them is best takes few.
+#: Values of k2' tried before the minimum is polished, on about so many of the curves. Their minimum lies within a few
+#: of its own standard errors of that of all curves, to which parabolas lead from there.
 _TRIED, _FEW = 24, 1000
-#: Step in ln k2' for the curvature of the cost.
-_STEP = 0.02
+#: Step in ln k2' for slope and curvature of the cost, parabolas at most, and what may be missed, in standard errors.
+_STEP, _STEPS, _MISSED = 0.005, 6, 0.02
 
 
 def effort_for(voxels: bool) -> Effort:
@@ -99,25 +101,44 @@ def shared_k2prime(
         variance that the cost at the minimum tells.
     """
     z, sizes, _, used = project_curves(packed, weights, frames_first(np.asarray(curves)), 0, len(curves))
-    z, sizes = z[:, used], sizes[used]
-
-    def cost(log_rate: float, step: int = 1) -> float:
-        tables = one_rate_tables(with_known_k2prime(packed, float(np.exp(log_rate))), SINGLE, axis=False)
-        some, their_sizes = z[:, ::step], sizes[::step]
-
-        def of(rows: slice) -> float:
-            return float(search_one_rate(tables, np.ascontiguousarray(some[:, rows]), their_sizes[rows])[COST].sum())
-
-        return sum(in_parts(of, len(their_sizes)))
-
+    every = max(1, np.count_nonzero(used) // _FEW)
+    all_curves = np.ascontiguousarray(z[:, used]), sizes[used]
+    few = np.ascontiguousarray(all_curves[0][:, ::every]), all_curves[1][::every]
     slowest, fastest = np.log(packed.rates[[0, -1]])
     tried = np.linspace(slowest, fastest, _TRIED)
-    best = int(np.argmin([cost(x, step=max(1, len(sizes) // _FEW)) for x in tried]))
-    around = tried[max(best - 1, 0)], tried[min(best + 1, _TRIED - 1)]
+    best = int(np.argmin([_rough_cost(x, packed, *few) for x in tried]))
+    low, high = tried[max(best - 1, 0)], tried[min(best + 1, _TRIED - 1)]
     from scipy.optimize import minimize_scalar
 
-    found = minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-7})
-    freedom = max(int(np.count_nonzero(weights)) * len(sizes) - 2 * len(sizes) - 1, 1)
-    bend = (cost(found.x - _STEP) - 2.0 * found.fun + cost(found.x + _STEP)) / _STEP**2
-    percent = 100.0 * np.sqrt(2.0 * found.fun / freedom / bend) if bend > 0 else float("inf")
-    return float(np.exp(found.x)), float(percent)
+    exact = {"xatol": 1e-7 if every == 1 else _STEP / 4.0}
+    near: Any = minimize_scalar(_cost, bounds=(low, high), args=(packed, *few), method="bounded", options=exact)
+    found, error = float(near.x), np.inf
+    freedom = max(int(np.count_nonzero(weights)) * len(all_curves[1]) - 2 * len(all_curves[1]) - 1, 1)
+    for _ in range(_STEPS):
+        below, least, above = (_cost(found + shift, packed, *all_curves) for shift in (-_STEP, 0.0, _STEP))
+        bend = (below - 2.0 * least + above) / _STEP**2
+        error = np.sqrt(2.0 * least / freedom / bend) if bend > 0.0 else np.inf
+        if every == 1 or not bend > 0.0:
+            break
+        before, found = found, float(np.clip(found - (above - below) / (2.0 * _STEP * bend), low, high))
+        if (found - before) ** 2 < _MISSED * error:  # about what the parabola misses
+            break
+    return float(np.exp(found)), 100.0 * float(error)
+
+
+def _cost(log_k2prime: float, packed: Compression, z: Array, sizes: Array) -> float:
+    """The sum of all curves' weighted squared residuals at a k2'."""
+    tables = one_rate_tables(with_known_k2prime(packed, float(np.exp(log_k2prime))), SINGLE, axis=False)
+
+    def of(rows: slice) -> float:
+        return float(search_one_rate(tables, np.ascontiguousarray(z[:, rows]), sizes[rows])[COST].sum())
+
+    return sum(in_parts(of, len(sizes)))
+
+
+def _rough_cost(log_k2prime: float, packed: Compression, z: Array, sizes: Array) -> float:
+    """The same with the rates of the table's nodes alone."""
+    atoms = with_known_k2prime(packed, float(np.exp(log_k2prime))).basis
+    length = np.linalg.norm(atoms, axis=1, keepdims=True)
+    seen = np.divide(atoms, length, out=np.zeros_like(atoms), where=length > 0.0) @ z
+    return float(sizes.sum() - (np.maximum(seen.max(axis=0), 0.0) ** 2).sum())

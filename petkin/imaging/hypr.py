@@ -7,13 +7,16 @@ doi:10.2967/jnumed.109.073999
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.imaging.point_spread import blur
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 #: Where the smoothed composite is below this share of its maximum there is no activity to take a ratio to.
 _NOTHING = 1e-3

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.imaging.point_spread import blur, gaussian_kernel
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
 #: An unlabelled voxel belongs to the background if blurred labels put this share into it, about one FWHM away.
 _EXCHANGES = 0.01

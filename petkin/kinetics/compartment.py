@@ -20,14 +20,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from jaxtyping import Float
-
 from petkin.dynamics import Forcing, Parameter, ParameterSet, System
 from petkin.dynamics.arrays import alike
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
     from torch import Tensor
 
 #: One exponential of the impulse response: (amplitude phi, rate a).

@@ -9,11 +9,14 @@ import base64
 import struct
 import zlib
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import UInt8
 from markupsafe import Markup
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from jaxtyping import UInt8
 
 _FONT = "'DejaVu Sans', Verdana, Arial, sans-serif"
 _PNG = b"\x89PNG\r\n\x1a\n"

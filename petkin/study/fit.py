@@ -12,10 +12,8 @@ from petkin.inputs import InputFunction
 from petkin.io import AtomicFolder, Scratch, write_bytes
 from petkin.io.atomic import remove_orphans
 from petkin.io.names import record_path, report_path
-from petkin.reporting import render_fit_report
 from petkin.study.arterial import arterial_input
-from petkin.study.fit_report import build_report
-from petkin.study.fit_scan import Progress, fit_scan
+from petkin.study.fit_scan import Progress, ScanFit, fit_scan
 from petkin.study.outcome import Fitted, outcomes
 from petkin.study.outputs import require_own_folder, write_study_description, writing
 from petkin.study.reading import read_sources
@@ -23,7 +21,6 @@ from petkin.study.request import FitRequest
 from petkin.study.resources import Execution, Resources, Spread, free_memory
 from petkin.study.resume import finished, write_record
 from petkin.study.sources import Source
-from petkin.study.truth import known_truth
 
 
 @dataclass(frozen=True)
@@ -120,10 +117,17 @@ def fit_job(job: Job, progress: Progress, spread: Spread = map, helpers: int = 1
             write_study_description(folder, job.name, out=job.out, raw=request.target)
             with writing(folder, fit, request):
                 progress("report", 0.95)
-                report = build_report(fit, request, known_truth(request.target, source))
-                write_bytes(folder.path(relative), render_fit_report(report).encode())
+                write_bytes(folder.path(relative), _report(fit, request).encode())
             write_record(folder, source, request, fitted)
     return replace(fitted, fit=replace(fit, voxels=None, by_voxel=(), voxel_choice=()))
+
+
+def _report(fit: ScanFit, request: FitRequest) -> str:
+    from petkin.reporting import render_fit_report  # the first voxels need not wait for what draws
+    from petkin.study.fit_report import build_report
+    from petkin.study.truth import known_truth
+
+    return render_fit_report(build_report(fit, request, known_truth(request.target, fit.source)))
 
 
 def _one_by_one(jobs: list[Job], progress: Progress) -> Iterator[Fitted | PetkinError]:

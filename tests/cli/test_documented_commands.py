@@ -62,7 +62,7 @@ def beside(study: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             (folder / name).write_text(text)
     for name in ("brain.nii.gz", "mask.nii.gz"):
         save(folder / name, (labels() > 0).astype(np.uint8))
-    monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: "")
+    monkeypatch.setattr("petkin.reporting.render_fit_report", lambda report: "")
     monkeypatch.chdir(folder)
     return folder
 

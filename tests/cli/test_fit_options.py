@@ -40,7 +40,7 @@ RESULTS = Path("derivatives/petkin") / PET
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """The report has tests of its own and takes longer than all the rest."""
-    monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: "\n".join(report.warnings))
+    monkeypatch.setattr("petkin.reporting.render_fit_report", lambda report: "\n".join(report.warnings))
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ TRUTH = Path("derivatives/phantom") / PET
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the study that all tests share needs its report."""
-    monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: "")
+    monkeypatch.setattr("petkin.reporting.render_fit_report", lambda report: "")
 
 
 @pytest.fixture(scope="module")

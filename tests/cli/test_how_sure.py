@@ -22,7 +22,7 @@ REGIONS = ["--model", "1TCM", "--level", "region", "--delay", "0"]
 
 @pytest.fixture(autouse=True)
 def _no_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: "\n".join(report.methods + report.limits))
+    monkeypatch.setattr("petkin.reporting.render_fit_report", lambda report: "\n".join(report.methods + report.limits))
 
 
 @pytest.fixture

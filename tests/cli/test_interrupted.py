@@ -45,7 +45,7 @@ def _stopped_in(step: str, number: int, study: Path) -> tuple[int, str]:
 
 @pytest.mark.parametrize(
     ("step", "number", "status"),
-    [("fit_scan", signal.SIGINT, 130), ("render_fit_report", signal.SIGINT, 130), ("write_bytes", signal.SIGTERM, 143)],
+    [("fit_scan", signal.SIGINT, 130), ("_report", signal.SIGINT, 130), ("write_bytes", signal.SIGTERM, 143)],
 )
 def test_stopped_by_a_signal(study: Path, step: str, number: int, status: int) -> None:
     """The report is rendered when all tables and maps of the scan already lie in the staging folder."""
@@ -73,7 +73,7 @@ def test_a_crash_leaves_nothing(study: Path, petkin_command, monkeypatch: pytest
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("petkin.study.fit.write_bytes", full)
-    monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: report.title)
+    monkeypatch.setattr("petkin.reporting.render_fit_report", lambda report: report.title)
     ran = petkin_command("fit", study, "--model", "1TCM", "--delay", "0")
     assert ran.status == 2
     assert ran.err == "petkin: [Errno 28] No space left on device\n"

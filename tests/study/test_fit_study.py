@@ -26,7 +26,7 @@ PET = Path("sub-01/pet")
 @pytest.fixture(autouse=True)
 def _warnings_for_report(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports have tests of their own and take longer than the fits."""
-    monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: "\n".join(report.warnings))
+    monkeypatch.setattr("petkin.reporting.render_fit_report", lambda report: "\n".join(report.warnings))
 
 
 def simulated(folder: Path, **options: object) -> Path:

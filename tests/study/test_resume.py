@@ -25,7 +25,7 @@ from petkin_bench.whole_image import write_image
 @pytest.fixture
 def request_(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FitRequest:
     """A small image, fitted; reports have tests of their own."""
-    monkeypatch.setattr("petkin.study.fit.render_fit_report", lambda report: report.title)
+    monkeypatch.setattr("petkin.reporting.render_fit_report", lambda report: report.title)
     request = write_image(tmp_path, fit_problem(voxels=40, percent=10.0), np.ones((5, 4, 2), np.bool_))
     request = replace(request, models=("Patlak",))
     assert not fit_study(request)[0].before

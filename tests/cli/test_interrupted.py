@@ -59,7 +59,7 @@ def test_stopped_by_a_signal(study: Path, step: str, number: int, status: int) -
 
 def test_killed_outright(study: Path) -> None:
     """No code runs after SIGKILL: a temporary folder stays, but nothing under the name of a result."""
-    _stopped_in("render_fit_report", signal.SIGKILL, study)
+    _stopped_in("_report", signal.SIGKILL, study)
     results = [path for path in study.rglob("*mimap*") if ".petkin-" not in str(path)]
     assert list(study.rglob("*mimap*"))
     assert not results

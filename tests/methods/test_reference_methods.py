@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from petkin.errors import InputError
-from petkin.fitting import Choices, Given, Need, ReferenceCurve, Status, counting_weights
+from petkin.fitting import Choices, FitResult, Given, Need, ReferenceCurve, Status, counting_weights
 from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.methods import METHODS, find_method
 
@@ -156,18 +156,48 @@ def test_the_fit_follows_the_curve(simplified, label):
     assert result.settings["reference"] == "cerebellum"
 
 
+def held(result: FitResult, symbol: str, truth: np.ndarray) -> float:
+    """Share of 90 percent intervals that hold the truth; Student, 43 degrees."""
+    error = np.abs(result[symbol] - truth)
+    return float((error <= 1.682 * result.percent_se(symbol) / 100 * np.abs(result[symbol])).mean())
+
+
+@pytest.mark.parametrize("share", [0.01, 0.02, 0.05])
 @pytest.mark.parametrize("label", ["SRTM", "SRTM2", "MRTM1", "MRTM2", "LoganRef"])
-def test_percent_errors_hold_the_truth_as_often_as_they_say(simplified, label):
+def test_percent_errors_hold_the_truth_as_often_as_they_say(simplified, label, share):
+    """MRTM1 and LoganRef at 5 percent: the value that they tend to, for noise moves it."""
     reference, values, (R1, BPND) = simplified
     clean = np.tile(values, (250, 1))
-    many, weights = noisy(clean, 0.02, seed=11)
+    many, weights = noisy(clean, share, seed=11)
     fixed = {"k2prime": K2_REFERENCE} if "k2prime" in find_method(label).symbols else {}
     result = find_method(label).fit(many, given_for(reference, weights), Choices(fixed=fixed, t_star=0.0), True)
     for symbol, truth in (("R1", R1), ("BPND", BPND), ("k2", R1 * K2_REFERENCE)):
         if symbol in [e.symbol for e in result.estimates]:
-            error = np.abs(result[symbol] - np.tile(truth, 250))
-            inside = error <= 1.682 * result.percent_se(symbol) / 100 * np.abs(result[symbol])  # Student, 43 degrees
-            assert 0.87 <= inside.mean() <= 0.93, symbol
+            if share == 0.05 and label in ("MRTM1", "LoganRef"):
+                truth = np.median(result[symbol].reshape(250, -1), axis=0)
+            assert 0.87 <= held(result, symbol, np.tile(truth, 250)) <= 0.93, symbol
+
+
+def test_percent_errors_of_two_compartments_hold_for_what_is_one_number():
+    """FRTM: R1 and BPND at 1 percent of noise; of k3 and k4, of which there are two sets at R1 = 1, fewer."""
+    many = 500
+    truth = [Tissue(R1, R1 * K2_REFERENCE, *k) for R1, *k in ((1.0, 0.05, 0.04), (0.8, 0.08, 0.05), (1.2, 0.03, 0.03))]
+    reference, values = curves(truth)
+    noise, weights = noisy(np.tile(values, (many, 1)), 0.01, seed=5)
+    result = find_method("FRTM").fit(noise, given_for(reference, weights), Choices(), True)
+    assert 0.87 <= held(result, "R1", np.tile([t.R1 for t in truth], many)) <= 0.93
+    assert 0.87 <= held(result, "BPND", np.tile([t.k3 / t.k4 for t in truth], many)) <= 0.94
+    assert 0.80 <= held(result, "k3", np.tile([t.k3 for t in truth], many)) <= 0.90
+
+
+@pytest.mark.parametrize("k2", [0.12, 0.09])
+def test_at_R1_of_one_two_sets_of_rates_make_the_same_curve(k2):
+    """Same k2 k3, k2 k4 and k2 + k3 + k4, for another k2' of the reference region."""
+    reference, values = curves([Tissue(1.0, 0.12, 0.05, 0.04)])
+    bounds = {"k2": (0.99 * k2, 1.01 * k2)}
+    result = find_method("FRTM").fit(values, given_for(reference), Choices(bounds=bounds), False)
+    found = [result[symbol][0] for symbol in ("R1", "k2", "k3", "k4", "BPND")]
+    np.testing.assert_allclose(found, [1.0, k2, 0.006 / k2, 0.0048 / k2, 1.25], rtol=1e-4)
 
 
 def test_the_error_of_a_shared_rate_is_its_spread(simplified):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from petkin.diagnosis.noise import (
     Noise,
@@ -23,15 +24,28 @@ from petkin.diagnosis.noise import (
 
 Array = NDArray[np.float64]
 
-#: Tails lighter than these degrees of freedom of Student's t are taken as normal.
-_LIGHT = 60.0
+#: Degrees of freedom tried for heavy tails, and the log likelihood by which they must beat normal ones; rounds in which
+#: their scale settles.
+_TAILS, _CLEARLY, _ROUNDS = (3.5, 5.0, 8.0), 1.0, 30
 
 
 def tail_freedom(residuals: Array) -> float:
-    """Degrees of freedom of Student's t from the kurtosis of residuals; infinite where tails are normal."""
-    scaled = residuals / residuals.std()
-    excess = float((scaled**4).mean() - 3.0) - 2.0 * np.sqrt(24.0 / residuals.size)
-    return 4.0 + 6.0 / excess if excess > 0 else np.inf
+    """Degrees of freedom of Student's t, of those tried, that make residuals likeliest; infinite where normal tails do
+    nearly as well."""
+    squares = np.ravel(residuals) ** 2
+    normal = -0.5 * squares.size * (np.log(2.0 * np.pi * squares.mean()) + 1.0)
+    likelihood = {freedom: _student(squares, freedom) for freedom in _TAILS}
+    best = max(likelihood, key=lambda freedom: likelihood[freedom])
+    return best if likelihood[best] > normal + _CLEARLY else np.inf
+
+
+def _student(squares: Array, freedom: float) -> float:
+    """Log likelihood of Student's t at its likeliest scale, for squared residuals."""
+    scale = max(float(np.median(squares)), 1e-300)
+    for _ in range(_ROUNDS):
+        scale = max(float(((freedom + 1.0) / (freedom + squares / scale) * squares).mean()), 1e-300)
+    each = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi * scale)
+    return float((each - 0.5 * (freedom + 1.0) * np.log1p(squares / (freedom * scale))).sum())
 
 
 def noise_draws(rng: np.random.Generator, count: int, noise: Noise, freedom: float, bases: list[Array]) -> Array:
@@ -64,7 +78,7 @@ def noise_draws(rng: np.random.Generator, count: int, noise: Noise, freedom: flo
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], freedom: float) -> Array:
     drawn = rng.standard_normal(shape)
-    if freedom > _LIGHT:
+    if np.isinf(freedom):
         return drawn
     return drawn * np.sqrt((freedom - 2.0) / rng.chisquare(freedom, shape))
 

@@ -18,7 +18,7 @@ from petkin.diagnosis.nominal import base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, refit
-from petkin.diagnosis.scan import Scan, start, templates
+from petkin.diagnosis.scan import Scan, starts, templates
 from petkin.diagnosis.sets import LAPSE, confusability, probabilities, smallest_set
 from petkin.diagnosis.unknown import Smooth, beside
 from petkin.diagnosis.verdict import Cause, Diagnosis
@@ -82,7 +82,7 @@ def diagnose(
     progress("fitting", 0.05)
     base, noise, bases, loose = base_fit(simulator, data)
     progress("looking at every effect", 0.2)
-    scan = _scan(simulator, noise, base, hypotheses)
+    scan = scan_of(simulator, noise, base, hypotheses)
     drawn = noise_draws(rng, draws, noise, tail_freedom(loose), bases)
     drawn = scan.projection.left(drawn, scan.projection.priors(rng, draws, base))
     p = p_value(float(scan.statistic(base.residual)), scan.statistic(drawn))
@@ -95,10 +95,11 @@ def diagnose(
 def foresee_design(simulator: Simulator, data: Array, hypotheses: Sequence[Hypothesis]) -> tuple[Visible, ...]:
     """What a design could tell, around the simulator's fit and with the noise of some data of it."""
     base, noise, _, _ = base_fit(simulator, data)
-    return foresee(simulator, noise, base, _scan(simulator, noise, base, hypotheses).templates)
+    return foresee(simulator, noise, base, scan_of(simulator, noise, base, hypotheses).templates)
 
 
-def _scan(simulator: Simulator, noise: Noise, base: Fit, hypotheses: Sequence[Hypothesis]) -> Scan:
+def scan_of(simulator: Simulator, noise: Noise, base: Fit, hypotheses: Sequence[Hypothesis]) -> Scan:
+    """All hypotheses that can be seen at all around a fit."""
     found = [t for t in templates(simulator, noise, base, hypotheses) if np.any(t.columns)]
     projection = Projection.of_fit(base)
     return Scan(found, projection, Smooth.around(base.values, simulator.times, noise, projection))
@@ -116,7 +117,7 @@ def _explained(
         if quieter is not noise:
             noise = quieter
             base = refit(simulator, data, noise, base.state)
-            scan = _scan(simulator, noise, base, hypotheses)
+            scan = scan_of(simulator, noise, base, hypotheses)
             found = again(simulator, data, noise, base, scan, found)
     double = pairs(simulator, data, noise, base, scan, found) if found[0].log_evidence > 1.0 else []
     return _Explained(noise, base, scan, sorted([*found, *double], key=lambda c: -c.log_evidence))
@@ -202,7 +203,7 @@ def _with_fit(simulator: Simulator, data: Array, explained: _Explained, candidat
     """A candidate that only the scan has judged, with a refit for its estimates; its evidence stays."""
     scan, base = explained.scan, explained.base
     each = scan.each(base.residual)
-    terms = tuple(start(scan, base.residual, each, name) for name in candidate.names)
+    terms = tuple(starts(scan, base.residual, each, name)[0] for name in candidate.names)
     fitted = refitted(simulator, data, explained.noise, base, terms)
     return replace(candidate, fit=fitted.fit, terms=fitted.terms, gain=fitted.gain)
 

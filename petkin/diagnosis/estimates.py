@@ -10,7 +10,7 @@ from scipy.special import erfc
 
 from petkin.diagnosis.effect import Simulator, Term
 from petkin.diagnosis.refit import Fit
-from petkin.diagnosis.scan import Scan, start
+from petkin.diagnosis.scan import Scan, starts
 from petkin.diagnosis.verdict import Estimate
 from petkin.diagnosis.where import Place, benjamini_hochberg
 from petkin.diagnosis.which import Candidate, columns_of
@@ -53,7 +53,7 @@ def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator,
 
 def _from_scan(scan: Scan, residual: Array, each: Array, name: str) -> Estimate:
     errors = np.sqrt(np.diag(np.linalg.inv(scan.information(scan.best(each, name)))))
-    return _amplitude(start(scan, residual, each, name), errors)
+    return _amplitude(starts(scan, residual, each, name)[0], errors)
 
 
 def _amplitude(term: Term, errors: Array) -> Estimate:

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array], Array]:
-    """The simulator's own best fit, the noise, what the flexible fit took, and its residual.
+    """The simulator's own best fit, the noise, what the flexible fit took, and its residual, wild values as they are.
 
     Two rounds: the second weighs by the values that the first predicts.
     """
@@ -25,6 +25,7 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
     fits = [refit(simulator, data, noise, State(own, shared)) for own in simulator.starts]
     base = min(fits, key=lambda f: f.objective)
     flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
+    plain = spread
     for _ in range(2):
         plain = simulator.spread(np.maximum(base.values, 0.0))
         spread = plain * outlying(flexible[0] * spread / plain)
@@ -34,7 +35,8 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
         )
         base = refit(simulator, data, noise, base.state)
     loose, freedom, bases = flexible
-    return base, noise, bases, loose / np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]
+    size = np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]
+    return base, noise, bases, loose * (spread / plain) / size
 
 
 def least_noise(simulator: Simulator, values: Array, spread: Array) -> Array:

@@ -21,8 +21,8 @@ from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
-from petkin.diagnosis.scan import Scan, Template, start
-from petkin.diagnosis.which import Candidate, after_refit, begun, excess, refitted
+from petkin.diagnosis.scan import Scan, Template, starts
+from petkin.diagnosis.which import Candidate, after_refit, begun, excess, halfway, refitted
 
 Array = NDArray[np.float64]
 
@@ -76,10 +76,13 @@ def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted
     terms = begun(simulator, data, noise, base, wanted.terms, leader)
     pair = refitted(simulator, data, noise, base, terms, leader)
     if wanted.begin is None or leader is None or pair.fit is None:
-        return replace(pair, log_evidence=pair.log_evidence - wanted.excess - SECOND)
+        value = halfway(pair.log_evidence - wanted.excess, wanted.score, wanted.terms)
+        return replace(pair, log_evidence=value - SECOND)
     second = after_refit(leader, pair.fit, len(simulator.channels), len(leader.state.terms))
     second += foreknown(wanted.terms) - foreknown(wanted.begin.terms)
-    return replace(pair, log_evidence=wanted.begin.log_evidence + second - wanted.excess - SECOND)
+    linear = wanted.score - wanted.begin.log_evidence
+    second = halfway(second - wanted.excess, linear, wanted.terms[-1:])
+    return replace(pair, log_evidence=wanted.begin.log_evidence + second - SECOND)
 
 
 def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _Wanted]:
@@ -101,7 +104,7 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
         each = second.each(residual)
         for name, value in second.by_hypothesis(each).items():
             key = tuple(sorted((*leader.names, name)))
-            term = start(second, residual, each, name)
+            term = starts(second, residual, each, name)[0]
             more = foreknown((*leader.terms, term)) - foreknown(leader.terms)
             score = leader.log_evidence + float(value) + more
             if key not in wanted:  # from the stronger of the two: evidence that goes by the weaker one is not the same

@@ -17,9 +17,9 @@ import numpy as np
 from petkin.diagnosis.effect import Array, Hypothesis, Shape, Simulator, Term
 from petkin.diagnosis.noise import Noise
 
-#: Iterations, the fall of the objective at which they end, and how many more while it falls by this share.
+#: Iterations, the fall of the objective at which they end, and how many more while it falls by more than this.
 _MOST, _SETTLED = 12, 0.01
-_LONGEST, _FALLING = 40, 0.02
+_LONGEST, _FALLING = 40, 0.3
 #: Damping at which no step is left to take.
 _STUCK = 1e6
 #: Difference quotients take this share of an amplitude's range, and this much of the log of a shape.
@@ -74,7 +74,7 @@ def refit(
         data: (C, K).
         noise: its covariance.
         start: where to begin; its terms say what is fitted besides.
-        iterations: at most so many, unless the objective still falls by much.
+        iterations: at most so many, unless the objective still falls by what evidence would feel.
         renewed: after how many steps the simulator's own derivatives are taken again; those of terms always are. They
             are at the end, and where a step fails.
     """
@@ -84,7 +84,7 @@ def refit(
         lower, damping = _lower(simulator, noise, target, here, damping, patient=not stale)
         fell = 0.0 if lower is None else here.objective - lower.objective
         here, stale = (here, stale) if lower is None else (lower, stale + 1)
-        settled = fell < _SETTLED or (i + 1 >= iterations and fell < _FALLING * here.objective)
+        settled = fell < _SETTLED or (i + 1 >= iterations and fell < _FALLING)
         if settled and not stale:
             break
         if settled or stale >= renewed:

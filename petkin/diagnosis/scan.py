@@ -19,6 +19,9 @@ from petkin.diagnosis.unknown import Smooth
 
 Array = NDArray[np.float64]
 
+#: A second start is within this of the best in log evidence, and its template has no larger cosine with it.
+_NEAR, _OTHERWISE = 6.0, 0.8
+
 
 @dataclass(frozen=True)
 class Template:
@@ -67,6 +70,11 @@ class Scan:
         """Linear fit of a template's amplitude to a residual, one or one a channel."""
         score = residual @ self.projected[:, self._places[index]]
         return np.asarray(np.linalg.solve(self.information(index), score), np.float64)
+
+    def look(self, index: int, residual: Array) -> Array:
+        """What a template would explain of a residual, of length one."""
+        seen = self.projected[:, self._places[index]] @ self.amplitude(index, residual)
+        return seen / max(float(np.linalg.norm(seen)), 1e-300)
 
     def information(self, index: int) -> Array:
         """What data and prior tell of a template's amplitude, one or one a channel."""
@@ -134,17 +142,27 @@ def _evidence(hypothesis: Hypothesis, score: Array, information: Array) -> Array
     return evidence.two_sided(t) if hypothesis.signed else evidence.one_sided(t)
 
 
-def start(scan: Scan, residual: Array, each: Array, name: str) -> Term:
-    """A hypothesis at the setting that the scan likes best, with the amplitude of a linear fit to the residual.
+def starts(scan: Scan, residual: Array, each: Array, name: str, most: int = 1) -> list[Term]:
+    """A hypothesis where the scan likes it best, with the amplitude of a linear fit to the residual; likeliest first.
 
     Args:
         scan: of the residual.
         residual: whitened.
         each: log evidence of every template.
         name: of the hypothesis.
+        most: how many; further ones look otherwise, and are not much less likely.
     """
-    best = scan.best(each, name)
-    return _start(scan.templates[best], scan.amplitude(best, residual))
+    mine = [i for i, t in enumerate(scan.templates) if t.hypothesis.name == name]
+    mine.sort(key=lambda i: -each[i])
+    found, looks = [], []
+    for i in mine:
+        if len(found) == most or each[i] < each[mine[0]] - _NEAR:
+            break
+        look = scan.look(i, residual)
+        if all(abs(look @ other) < _OTHERWISE for other in looks):
+            found.append(_start(scan.templates[i], scan.amplitude(i, residual)))
+            looks.append(look)
+    return found
 
 
 def _start(template: Template, amplitude: Array) -> Term:

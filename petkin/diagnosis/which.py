@@ -12,7 +12,7 @@ from petkin.diagnosis.effect import Simulator, Term, foreknown
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, State, objective, parts, refit
-from petkin.diagnosis.scan import Scan, start
+from petkin.diagnosis.scan import Scan, starts
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,8 @@ _BELOW = 3.0
 _MOST_OCCAM = 4.0
 #: Gain of the objective from which on a gap is so large that a refit may end in a side valley; where it begins anew.
 _BLATANT, _FAR = 40.0, 0.3
+#: Settings at which a refit begins, and the log evidence beyond which scan and refit do not speak of the same.
+_STARTS, _APART = 3, 6.0
 #: Share of a linear amplitude that a refit begins at where all of it fits worse.
 _WEAKER = 0.1
 #: Iterations of a refit, and after how many the simulator's own derivatives are taken again.
@@ -69,9 +71,10 @@ def singles(
     chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > best - _WITHIN) or n in strong]
     found = []
     for name in chosen:
-        near = refitted(simulator, data, noise, base, (start(scan, base.residual, each, name),))
+        begin = starts(scan, base.residual, each, name, _STARTS)
+        near = max((refitted(simulator, data, noise, base, (t,)) for t in begin), key=lambda c: c.gain)
         near = _from_afar(simulator, data, noise, base, near) if name in always else near
-        found.append(_averaged(near, scan, each))
+        found.append(_averaged(near, scan, each, by_name[name]))
     return _with_rest(found, by_name)
 
 
@@ -87,7 +90,8 @@ def again(
     each = scan.each(base.residual)
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
     likely = [c for c in before if c.fit is not None and c.log_evidence > before[0].log_evidence - _WITHIN]
-    found = [_averaged(refitted(simulator, data, noise, base, c.terms, c.fit), scan, each) for c in likely]
+    renewed = (refitted(simulator, data, noise, base, c.terms, c.fit) for c in likely)
+    found = [_averaged(c, scan, each, by_name[c.names[0]]) for c in renewed]
     known = {c.names[0]: c.log_evidence for c in before if c.fit is not None}
     return _with_rest(found, by_name | known)
 
@@ -113,9 +117,21 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
     return found if found.gain > near.gain else near
 
 
-def _averaged(candidate: Candidate, scan: Scan, each: Array) -> Candidate:
-    """Less what choosing the best setting gained over an average one."""
-    return replace(candidate, log_evidence=candidate.log_evidence - scan.excess(each, candidate.names[0]))
+def _averaged(candidate: Candidate, scan: Scan, each: Array, linear: float) -> Candidate:
+    """Less what choosing the best setting gained over an average one, and halfway to what the scan says."""
+    value = candidate.log_evidence - scan.excess(each, candidate.names[0])
+    return replace(candidate, log_evidence=halfway(value, linear + foreknown(candidate.terms), candidate.terms))
+
+
+def halfway(refitted: float, linear: float, terms: tuple[Term, ...]) -> float:
+    """log evidence between that of a refit and that of the scan, near the refit's where they differ much.
+
+    The scan averages over settings and amplitudes, but takes effects for weak; a refit does not, but stands at the one
+    setting that suits the noise best. A flag's template says nothing of it at full strength.
+    """
+    if any(term.hypothesis.flag for term in terms):
+        return refitted
+    return refitted - 0.5 * float(np.clip(refitted - linear, -_APART, _APART))
 
 
 def refitted(

@@ -9,6 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis, diagnose
+from petkin.diagnosis.diagnose import scan_of
+from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.refit import State, refit
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS, effect_named
@@ -17,9 +19,13 @@ from petkin.inputs import InputFunction
 from petkin.study.diagnose import ALWAYS
 from petkin.study.diagnosis.answer import onset_frame
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
-from petkin_bench.withheld.cases import Scan
+from petkin_bench.withheld.cases import Answer, Scan
+from petkin_bench.withheld.noise import KINDS, law
 
 Array = NDArray[np.float64]
+
+#: Noise draws of the ideal reader.
+_READ = 300
 
 
 def simulator_of(scan: Scan) -> RegionalSimulator:
@@ -94,3 +100,29 @@ def _closed(found: Diagnosis, simulator: RegionalSimulator, clean: Array) -> flo
     base = refit(simulator, clean, found.noise, found.base.state)
     with_it = refit(simulator, clean, found.noise, State(fit.state.own, fit.state.shared, fit.state.terms))
     return float(np.clip(1.0 - with_it.chi2 / max(base.chi2, 1e-12), 0.0, 1.0))
+
+
+def ideal(scan: Scan, answer: Answer, *, seed: int) -> float | str:
+    """Share of noise draws in which the class has the highest evidence, for a reader who is told the noise-free curves'
+    fit and the law of the noise, but must find onset, region, frame and shape for itself; "" where it is not one cause.
+
+    The product's templates, each averaged over its settings; no refit, so that of blunders, which are not weak, it says
+    nothing.
+    """
+    if answer.kind not in ("known", "other form"):
+        return ""
+    simulator = simulator_of(scan)
+    given = law(answer.clean, scan.frames, answer.percent, KINDS[answer.noise][0])
+    noise = Noise(given.sd, np.ones(len(given.sd)), given.share)
+    fits = [refit(simulator, answer.clean, noise, State(own, simulator.shared.mean)) for own in simulator.starts]
+    base = min(fits, key=lambda fit: fit.objective)
+    candidates = hypotheses(EFFECTS, simulator, without=frozenset())
+    if any(h.flag for h in candidates if h.name in answer.names):
+        return ""
+    looked = scan_of(simulator, noise, base, candidates)
+    drawn = np.random.default_rng(seed).standard_normal((_READ, base.residual.size))
+    left = looked.projection.left(drawn, np.zeros((_READ, base.jacobian.shape[1])))
+    found = looked.by_hypothesis(looked.each(base.residual + left))
+    names = list(found)
+    first = np.stack([found[name] for name in names], axis=1).argmax(axis=1)
+    return round(float(np.mean([names[k] in answer.classes[0] for k in first])), 4)

@@ -83,17 +83,18 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
     """Answer and verdict of one case as rows."""
     if plan.images:
         return _judged_image(plan, index)
-    from petkin_bench.withheld.judge import verdict
+    from petkin_bench.withheld.judge import ideal, verdict
 
     scan, truth = case(plan.split, plan.seed, index, plan.regions)
     answer = {"index": index} | row_of(truth)
     if plan.without == ENGINE:
         from petkin_bench.withheld.network import network_verdict
 
-        return answer, _sealed(answer) | network_verdict(scan, plan.network)
+        found = network_verdict(scan, plan.network)
+        return answer, _sealed(answer) | found | {"ideal": ideal(scan, truth, seed=index)}
     with without(plan.without):
         found = verdict(scan, truth.clean, seed=index, draws=plan.draws)
-    return answer, _sealed(answer) | found
+    return answer, _sealed(answer) | found | {"ideal": ideal(scan, truth, seed=index)}
 
 
 def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:

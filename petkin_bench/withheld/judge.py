@@ -106,8 +106,8 @@ def ideal(scan: Scan, answer: Answer, *, seed: int) -> float | str:
     """Share of noise draws in which the class has the highest evidence, for a reader who is told the noise-free curves'
     fit and the law of the noise, but must find onset, region, frame and shape for itself; "" where it is not one cause.
 
-    The product's templates, each averaged over its settings; no refit, so that of blunders, which are not weak, it says
-    nothing.
+    The product's templates of weak effects, each averaged over its settings, without a refit: of strong effects, which
+    are not linear, a real reader may name more, and of blunders it says nothing.
     """
     if answer.kind not in ("known", "other form"):
         return ""

@@ -12,6 +12,7 @@ from petkin_bench.withheld import run as runs
 from petkin_bench.withheld.cases import SPLITS, case
 from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, UNKNOWN, draw
 from petkin_bench.withheld.changes import smeared
+from petkin_bench.withheld.judge import ideal
 from petkin_bench.withheld.noise import law, noisy
 from petkin_bench.withheld.observe import Change, observe, tissue
 from petkin_bench.withheld.score import Judged, auroc, calibration_error, metrics, text_of
@@ -177,3 +178,15 @@ def test_changes_add_up(subject: Subject) -> None:
     """Two scanners in a row are one after the other; no change at all is the subject."""
     double = Change(scanner=lambda x, _: 2.0 * x)
     np.testing.assert_allclose(observe(subject, (double, double)), 4.0 * observe(subject))
+
+
+def test_a_reader_who_must_find_the_settings_is_asked_of_single_causes_alone() -> None:
+    told = {}
+    for index in range(8):
+        scan, answer = case("training", 5, index)
+        told[index] = (answer, ideal(scan, answer, seed=index))
+    shares = [share for _, share in told.values() if share != ""]
+    assert all(answer.kind in ("known", "other form") for answer, share in told.values() if share != "")
+    assert shares
+    assert all(0.0 <= float(share) <= 1.0 for share in shares)
+    assert max(float(share) for share in shares) > 1.0 / len(KNOWN)

@@ -155,3 +155,11 @@ def test_one_witness_is_heard_once() -> None:
     assert foreknown((term("a", 20.0, "w"), term("b", 15.0, "w"))) == 20.0
     assert foreknown((term("a", 20.0, "w"), term("b", 15.0))) == 35.0
     assert foreknown((term("a", -1.0, "w"), term("b", 4.0, "w"))) == 4.0
+
+
+def test_heavy_tails_are_seen_in_a_single_scan_and_normal_ones_left_alone() -> None:
+    rng = np.random.default_rng(7)
+    heavy = [tail_freedom(rng.standard_t(4, 180)) for _ in range(40)]
+    normal = [tail_freedom(rng.standard_normal(180)) for _ in range(40)]
+    assert np.mean(np.isfinite(heavy)) > 0.75
+    assert np.mean(np.isfinite(normal)) < 0.15

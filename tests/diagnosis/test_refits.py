@@ -1,0 +1,47 @@
+"""Where refits begin, and how much of their evidence counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from petkin.diagnosis import Term
+from petkin.diagnosis.diagnose import scan_of
+from petkin.diagnosis.nominal import base_fit
+from petkin.diagnosis.scan import Scan, starts
+from petkin.diagnosis.which import halfway
+
+from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
+
+
+def test_a_refit_begins_at_settings_that_look_otherwise() -> None:
+    simulator = DecayingChannels()
+    data = measured(np.random.default_rng(3), Term(hypothesis("ripple"), 0.3, {"pitch": 3.0}))
+    base, noise, _, _ = base_fit(simulator, data)
+    scan = scan_of(simulator, noise, base, HYPOTHESES)
+    each = scan.each(base.residual)
+    (only,) = starts(scan, base.residual, each, "ripple")
+    assert only.setting["pitch"] == 3.0
+    steps = starts(scan, base.residual, each, "step", 3)
+    looks = [scan.look(_place(scan, term), base.residual) for term in steps]
+    assert 1 <= len(steps) <= 3
+    assert all(abs(a @ b) < 0.8 for i, a in enumerate(looks) for b in looks[:i])
+    values = [each[_place(scan, term)] for term in steps]
+    assert values == sorted(values, reverse=True)
+    assert values[0] == max(e for t, e in zip(scan.templates, each) if t.hypothesis.name == "step")
+
+
+def _place(scan: Scan, term: Term) -> int:
+    return next(
+        i
+        for i, t in enumerate(scan.templates)
+        if t.hypothesis.name == term.hypothesis.name and t.setting == dict(term.setting)
+    )
+
+
+def test_evidence_lies_between_scan_and_refit_but_near_the_refit() -> None:
+    weak, flag = (Term(hypothesis("offset"), 0.1, {}),), (Term(hypothesis("clipped"), 1.0, {}),)
+    assert halfway(12.0, 10.0, weak) == 11.0
+    assert halfway(10.0, 12.0, weak) == 11.0
+    assert halfway(100.0, 10.0, weak) == pytest.approx(97.0)
+    assert halfway(100.0, 10.0, flag) == 100.0

@@ -76,7 +76,13 @@ class _Recording:
 
 
 def measure_real(
-    folder: Path, *, subjects: tuple[str, ...] = (), seg: str | None = "rois", only: tuple[str, ...] = (), seed: int = 0
+    folder: Path,
+    *,
+    subjects: tuple[str, ...] = (),
+    seg: str | None = "rois",
+    only: tuple[str, ...] = (),
+    rivals: tuple[str, ...] = (),
+    seed: int = 0,
 ) -> list[dict[str, object]]:
     """One row a scan and case: what was withheld or put in, and what the diagnosis says.
 
@@ -85,13 +91,16 @@ def measure_real(
         subjects: labels; empty for all.
         seg: which table of curves.
         only: names of cases; empty for all.
+        rivals: effects that compete with the answer; empty for the whole catalogue.
         seed: of blunders, twins and draws.
 
     Raises:
-        InputError: no such study, or scans that cannot be diagnosed.
+        InputError: no such study, scans that cannot be diagnosed, or no such effect.
     """
+    for name in rivals:
+        effect_named(name)
     return [
-        _row(scan.label, case, seed)
+        _row(scan.label, case, rivals, seed)
         for scan in _recordings(folder, subjects, seg)
         for case in _cases(scan, np.random.default_rng((seed, *scan.label.encode())))
         if not only or case.name in only
@@ -167,9 +176,10 @@ _BLUNDERS: dict[str, Callable[[FrameObservation, np.random.Generator], Array]] =
 }
 
 
-def _row(label: str, case: Case, seed: int) -> dict[str, object]:
+def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str, object]:
     started = time.process_time()
-    candidates = hypotheses(EFFECTS, case.simulator, without=frozenset())
+    catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *case.accepted)]
+    candidates = hypotheses(catalogue, case.simulator, without=frozenset())
     found = diagnose(case.simulator, case.values, candidates, always=ALWAYS, seed=seed)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
@@ -189,6 +199,8 @@ def _row(label: str, case: Case, seed: int) -> dict[str, object]:
         "closure": "" if leader is None or leader.closure is None else round(leader.closure.value, 3),
         "detectability": _detectability(case),
         "cpu_s": round(seconds, 2),
+        "rivals": " ".join(rivals) or "all",
+        "leads": leader is not None and _names((leader.label,), case.accepted),
     }
 
 
@@ -236,6 +248,7 @@ def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
                 "alarms": sum(row["kind"] != "none" for row in mine),
                 "first": sum(bool(row["first"]) for row in mine),
                 "in_set": sum(bool(row["in_set"]) for row in mine),
+                "leads": sum(bool(row["leads"]) for row in mine),
                 "median_set": float(np.median([len(str(row["set"]).split()) for row in mine])),
                 "agree": _agreement(mine),
             }

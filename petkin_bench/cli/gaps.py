@@ -45,6 +45,13 @@ def real_scans(
     data: Annotated[Path, typer.Option(help="PET-BIDS study with regional curves and blood.")],
     subject: Annotated[list[str] | None, typer.Option(help="Only this subject; repeatable.")] = None,
     seg: Annotated[str | None, typer.Option(help="Which table of curves, by its seg- label.")] = None,
+    case: Annotated[
+        list[str] | None, typer.Option(help="Only this case, e.g. vascular_trapping or delay+10s; repeatable.")
+    ] = None,
+    rival: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this effect competes with the answer; repeatable; default: the whole catalogue."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of blunders, twins and draws.", min=0)] = 0,
 ) -> None:
     """Withhold effects from the simulator, and put blunders into the curves, of real scans; ask what is missing.
@@ -56,7 +63,8 @@ def real_scans(
     from petkin_bench.provenance import append_rows
     from petkin_bench.real_scans import measure_real, summary
 
-    rows = measure_real(data, subjects=tuple(subject or ()), seg=seg, seed=seed)
+    subjects, only, rivals = (tuple(values or ()) for values in (subject, case, rival))
+    rows = measure_real(data, subjects=subjects, seg=seg, only=only, rivals=rivals, seed=seed)
     typer.echo(pd.DataFrame(summary(rows)).to_string(index=False))
     typer.echo(f"Appended to {append_rows('real_scans', [row | {'seed': seed} for row in rows])}")
 

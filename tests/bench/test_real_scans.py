@@ -20,6 +20,20 @@ def test_a_late_clock_is_named_and_a_twin_is_not_accused(shared_data: Path) -> N
     assert (clocks["alarms"], clocks["in_set"], clocks["agree"]) == (2, 2, "1/1")
 
 
+def test_trapping_is_told_from_a_few_rivals(shared_data: Path) -> None:
+    few = ("dispersion", "gain_drift", "gain_step", "randoms_offset", "tissue_metabolite")
+    rows = measure_real(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",), rivals=few)
+    (row,) = summary(rows)
+    assert {r["rivals"] for r in rows} == {" ".join(few)}
+    assert {name for r in rows for name in str(r["leader"]).split("+")} <= {*few, "vascular_trapping"}
+    assert (row["scans"], row["alarms"], row["leads"]) == (2, 2, 2)
+
+
+def test_a_rival_of_no_catalogue_is_one_line(shared_data: Path) -> None:
+    with pytest.raises(InputError, match="nonsense"):
+        measure_real(shared_data / "pbr28", rivals=("nonsense",))
+
+
 def test_no_rows_are_no_summary() -> None:
     with pytest.raises(InputError, match="no scans"):
         summary([])

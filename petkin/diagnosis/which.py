@@ -23,6 +23,8 @@ _BELOW = 3.0
 _MOST_OCCAM = 4.0
 #: Gain of the objective from which on a gap is so large that a refit may end in a side valley; where it begins anew.
 _BLATANT, _FAR = 40.0, 0.3
+#: Chi-square beyond that of noise from which on no template is weak, and the scan only says whom to refit first.
+_GLARING = 1000.0
 #: Settings at which a refit begins, and the log evidence beyond which scan and refit do not speak of the same.
 _STARTS, _APART = 3, 6.0
 #: Share of a linear amplitude that a refit begins at where all of it fits worse.
@@ -59,7 +61,7 @@ def singles(
     """Every hypothesis with its evidence, the promising ones after a full refit; best first.
 
     Where a gap is blatant, flags and `always` get a refit too: a weak template says little of them at full strength. So
-    does what is likelier than the rest before any data.
+    does what is likelier than the rest before any data; and where a gap is glaring, all that the scan puts first.
     """
     each = scan.each(base.residual)
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
@@ -68,7 +70,8 @@ def singles(
     flags = {t.hypothesis.name for t in scan.templates if t.hypothesis.flag}
     foreseen = {t.hypothesis.name for t in scan.templates if t.hypothesis.log_odds > 0}
     strong = foreseen | (always | flags if excess(base) > _BLATANT else frozenset())
-    chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > best - _WITHIN) or n in strong]
+    least = -np.inf if excess(base) > _GLARING else best - _WITHIN
+    chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > least) or n in strong]
     found = []
     for name in chosen:
         begin = starts(scan, base.residual, each, name, _STARTS)

@@ -25,10 +25,11 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
     fits = [refit(simulator, data, noise, State(own, shared)) for own in simulator.starts]
     base = min(fits, key=lambda f: f.objective)
     flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
-    plain = spread
+    wild = np.ones_like(spread)
     for _ in range(2):
         plain = simulator.spread(np.maximum(base.values, 0.0))
-        spread = plain * outlying(flexible[0] * spread / plain)
+        wild = outlying(flexible[0] * spread / plain)
+        spread = plain * wild
         flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
         noise = first_floor(
             (data - base.values) / spread, spread, flexible, least_noise(simulator, base.values, spread)
@@ -36,7 +37,7 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
         base = refit(simulator, data, noise, base.state)
     loose, freedom, bases = flexible
     size = np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]
-    return base, noise, bases, loose * (spread / plain) / size
+    return base, noise, bases, loose * wild / size
 
 
 def least_noise(simulator: Simulator, values: Array, spread: Array) -> Array:

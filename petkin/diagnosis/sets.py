@@ -13,10 +13,12 @@ Array = NDArray[np.float64]
 
 #: Mass that a set must hold, and the cosine above which two explanations are one.
 _MASS, ALIKE = 0.9, 0.95
-#: Evidence of names is divided by this: refits agree less well between programs than within one.
+#: Evidence of names is divided by this: refits agree less well between programs than within one. Chosen on training
+#: scans between their log score, which asks for 1, and the calibration and size of sets, which other forms spoil.
 _TEMPERATURE = 1.6
 #: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
-#: often no explanation that was looked at is right, however likely it seems. Set by their log score on training scans.
+#: often no explanation that was looked at is right, however likely it seems. The second was chosen by how many unnamed
+#: and named training causes are then called unknown.
 _STEEPNESS, _EVEN = 0.5, -1.5
 LAPSE = 0.05
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from petkin.errors import InputError
 from petkin.fitting.gram_schmidt import INDEPENDENT, scratch, solve_curves
-from petkin.fitting.shared_columns import regress_curves
+from petkin.fitting.shared_columns import Answer, regress_curves
 
 Array = NDArray[np.float64]
 
@@ -160,16 +160,16 @@ class LinearSolver:
     def regress(
         self,
         frames: NDArray[np.floating],
-        start: int,
+        part: slice,
         outcome: int,
-        answer: tuple[Array, Array, Array, NDArray[np.uint8]],
+        answer: Answer,
     ) -> None:
         """Values, percent errors, chi-square and status where all columns are in common: see `regress_curves`."""
         used = self.spans[0, :, 0]
         factor = self.operators[0, np.arange(len(used)), used] * self.scale
         each, freedom = self._unit
         tissue, unit = (self.offset[used], factor, used), (np.sqrt(np.diag(each)), freedom)
-        regress_curves(frames, start, tissue, self.axes, self.inverse, unit, outcome, answer)
+        regress_curves(frames, part, tissue, self.axes, self.inverse, unit, outcome, answer)
 
     def solve(self, frames: NDArray[np.floating], rows: slice) -> LinearSolutions:
         """Unknowns of some of the curves (K, N), float32 or float64, frames first; `rows` has a start and a stop."""

@@ -15,6 +15,11 @@ T = TypeVar("T")
 PART = 16320
 
 
+def busy() -> int:
+    """Curves that give every processor core a part; more at once are fitted no faster."""
+    return PART * numba.get_num_threads()
+
+
 def in_parts(work: Callable[[slice], T], count: int, size: int = PART) -> list[T]:
     """`work` on the slices that make up range(count), `size` long, in order of the slices.
 

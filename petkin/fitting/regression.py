@@ -18,6 +18,7 @@ from petkin.fitting.curves import check_shapes
 from petkin.fitting.linear import LinearDesign, LinearSolutions, LinearSolver
 from petkin.fitting.parts import in_parts
 from petkin.fitting.results import Estimate, FitResult
+from petkin.fitting.shared_columns import Answer
 from petkin.fitting.summary import akaike
 from petkin.fitting.verdict import conclude, delta_variances
 
@@ -82,11 +83,13 @@ def fit_linear(
     check_shapes(curves, design.weights, len(design.offset))
     solver = LinearSolver.prepare(design, regression.label)
     frames = _frames_first(curves)
-    answer = _Answer.of(len(regression.quantities), len(curves), len(design.used), design.unknowns)
+    alike = solver.in_common and regression.read is None
+    kind = frames.dtype if alike else np.dtype(np.float64)
+    answer = _Answer.of(len(regression.quantities), len(curves), len(design.used), design.unknowns, kind)
 
     def fit(part: slice) -> None:
-        if solver.in_common and regression.read is None:
-            solver.regress(frames, part.start, regression.outcome, answer.of_some(part))
+        if alike:
+            solver.regress(frames, part, regression.outcome, answer.all)
         else:
             for start in range(part.start, part.stop, _BLOCK):
                 rows = slice(start, min(start + _BLOCK, part.stop))
@@ -133,29 +136,31 @@ def _frames_first(curves: NDArray[np.floating]) -> NDArray[np.floating]:
 class _Answer:
     """Arrays that are filled block by block."""
 
-    values: Array
-    percent_se: Array
-    chi2: Array
-    aicc: Array
+    values: NDArray[np.floating]
+    percent_se: NDArray[np.floating]
+    chi2: NDArray[np.floating]
+    aicc: NDArray[np.floating]
     status: NDArray[np.uint8]
     used: int
     unknowns: int
 
     @classmethod
-    def of(cls, quantities: int, curves: int, used: int, unknowns: int) -> _Answer:
-        values, percent_se = np.empty((2, quantities, curves))
-        chi2, aicc = np.empty((2, curves))
+    def of(cls, quantities: int, curves: int, used: int, unknowns: int, kind: np.dtype) -> _Answer:
+        values, percent_se = np.empty((2, quantities, curves), kind)
+        chi2, aicc = np.empty((2, curves), kind)
         return cls(values, percent_se, chi2, aicc, np.empty(curves, np.uint8), used, unknowns)
 
-    def of_some(self, rows: slice) -> tuple[Array, Array, Array, NDArray[np.uint8]]:
-        """Room for the answers of some curves."""
-        return self.values[:, rows], self.percent_se[:, rows], self.chi2[rows], self.status[rows]
+    @property
+    def all(self) -> Answer:
+        """Room for the answers of all curves."""
+        return self.values, self.percent_se, self.chi2, self.status
 
     def fill(self, rows: slice, solved: LinearSolutions, regression: Regression) -> None:
         """Estimates, errors and status of some curves; what must not be used is NaN."""
         values, deviations = _read(solved, regression)
         found = values, deviations, solved.wrss, solved.freedom, solved.total, solved.finite
-        conclude(found, regression.outcome, float(self.used - self.unknowns), *self.of_some(rows))
+        degrees = float(self.used - self.unknowns)
+        conclude(found, regression.outcome, degrees, self.all, rows.start, rows.stop)
 
     def compare(self, rows: slice) -> None:
         """AICc of some curves."""

@@ -1,7 +1,8 @@
 """Regressions whose columns all curves have in common, compiled: one pass over every curve, from frames to status.
 
 As in `gram_schmidt`, but the response is the curve itself: its components along axes that are orthonormal beforehand,
-then what is left of it, squared, without cancellation.
+then what is left of it, squared, without cancellation. Such a fit costs little more than reading the curves, so it
+computes in the precision that they have.
 """
 
 from __future__ import annotations
@@ -13,86 +14,84 @@ from numpy.typing import NDArray
 from petkin.fitting.verdict import conclude
 
 Array = NDArray[np.float64]
+Answer = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.uint8]]
 
 #: Curves in step. As in `lanes`, no loop that rounds has a remainder that might round another way.
 _LANES = 512
 _STRICT = {"contract", "nsz"}
-#: Activity (kBq/mL) from which on a value counts as infinite: its square must stay a number.
+#: Sum of a curve (kBq/mL) from which on it counts as infinite.
 _LARGEST = 1e30
 
 
 def regress_curves(
     frames: NDArray[np.floating],
-    start: int,
+    part: slice,
     tissue: tuple[Array, Array, NDArray[np.intp]],
     axes: Array,
     inverse: Array,
     unit: tuple[Array, float],
     outcome: int,
-    answer: tuple[Array, Array, Array, NDArray[np.uint8]],
+    answer: Answer,
 ) -> None:
-    """Fill in the answers of curves from `start` on.
+    """Fill in the answers of some curves; all is computed in the type of the frames.
 
     Args:
         frames: curves, frames first (K, N), float32 or float64.
-        start: first of them.
+        part: which of them.
         tissue: what is taken off every used frame and what the rest is multiplied by (U,), which they are (U,).
         axes: orthonormal (S, U).
         inverse: what makes unknowns from components along the axes (S, S).
         unit: standard deviations of the unknowns (S,) and sum of squared residuals at unit noise.
         outcome: which unknown the method is used for.
-        answer: room for values and percent errors (M, n), chi-square, status (n,); quantities are the first M unknowns.
+        answer: room for values and percent errors (M, N), chi-square, status (N,); quantities are the first M unknowns.
     """
-    shared, used = axes.shape
-    y, parts, theta = (np.zeros((rows, _LANES)) for rows in (used, shared, shared))
-    deviations, freedom = np.repeat(unit[0][:, None], _LANES, axis=1), np.full(_LANES, unit[1])
-    wrss, total, plain = np.zeros((3, _LANES))
-    room = y, parts, theta, deviations, wrss, freedom, total, plain, np.empty(_LANES, np.bool_)
-    _regress(frames, start, tissue, axes, inverse, outcome, room, answer)
+    kind, (shared, used) = frames.dtype, axes.shape
+    y, parts, theta = (np.zeros((rows, _LANES), kind) for rows in (used, shared, shared))
+    deviations = np.repeat(unit[0].astype(kind)[:, None], _LANES, axis=1)
+    wrss, total = np.zeros((2, _LANES), kind)
+    room = y, parts, theta, deviations, wrss, np.full(_LANES, unit[1], kind), total, np.empty(_LANES, np.bool_)
+    offset, factor = (numbers.astype(kind) for numbers in tissue[:2])
+    fixed = (offset, factor, tissue[2]), axes.astype(kind), inverse.astype(kind), kind.type(used - shared)
+    _regress(frames, (part.start, part.stop), fixed, outcome, room, answer)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _regress(frames, start, tissue, axes, inverse, outcome, room, answer):
-    y, parts, theta, deviations, wrss, freedom, total, plain, finite = room
-    values, percent, chi2, status = answer
-    offset, factor, used = tissue
-    degrees = float(axes.shape[1] - axes.shape[0])
-    for first in range(0, len(status), _LANES):
-        here = slice(first, min(first + _LANES, len(status)))
-        block = frames[:, start + here.start : start + here.stop]
-        _look(block, total, plain)
-        for n in range(_LANES):
-            finite[n] = plain[n] < _LARGEST * _LARGEST
+def _regress(frames, part, fixed, outcome, room, answer):
+    y, parts, theta, deviations, wrss, freedom, total, finite = room
+    (offset, factor, used), axes, inverse, degrees = fixed
+    for first in range(part[0], part[1], _LANES):
+        last = min(first + _LANES, part[1])
+        _add_up(frames, first, last, total)
         for u in range(len(used)):
-            _take(block[used[u]], offset[u], factor[u], y[u])
+            _take(frames[used[u]][first:last], offset[u], factor[u], y[u])
         for s in range(len(axes)):
             _combine(axes[s], y, parts[s])
         _measure(axes, parts, y, wrss)
+        for n in range(_LANES):
+            finite[n] = (abs(total[n]) < _LARGEST) & (wrss[n] < np.inf)
         for i in range(len(axes)):
             _combine(inverse[i], parts, theta[i])
         found = theta, deviations, wrss, freedom, total, finite
-        conclude(found, outcome, degrees, values[:, here], percent[:, here], chi2[here], status[here])
+        conclude(found, outcome, degrees, answer, first, last)
 
 
 @njit(cache=True, fastmath=_STRICT, error_model="numpy")
-def _look(block, total, plain):
-    """Sums and sums of squares of a block of curves."""
+def _add_up(frames, first, last, total):
+    """Sums of some curves."""
     for n in range(_LANES):
-        total[n], plain[n] = 0.0, 0.0
-    k, width = 0, block.shape[1]
-    while k + 4 <= block.shape[0]:
-        one, two, three, four = block[k], block[k + 1], block[k + 2], block[k + 3]
-        for n in range(width):
-            a, b, c, d = np.float64(one[n]), np.float64(two[n]), np.float64(three[n]), np.float64(four[n])
-            total[n] += (a + b) + (c + d)
-            plain[n] += (a * a + b * b) + (c * c + d * d)
+        total[n] = 0.0
+    k = 0
+    while k + 4 <= len(frames):
+        # cut row by row: the compiler knows them contiguous
+        one, two = frames[k][first:last], frames[k + 1][first:last]
+        three, four = frames[k + 2][first:last], frames[k + 3][first:last]
+        for n in range(len(one)):
+            total[n] += (one[n] + two[n]) + (three[n] + four[n])
         k += 4
-    while k < block.shape[0]:
-        one = block[k]
-        for n in range(width):
-            a = np.float64(one[n])
-            total[n] += a
-            plain[n] += a * a
+    while k < len(frames):
+        one = frames[k][first:last]
+        for n in range(len(one)):
+            total[n] += one[n]
         k += 1
 
 

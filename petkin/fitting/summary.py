@@ -139,7 +139,7 @@ class Judge:
         )
 
 
-def akaike(cost: Array, frames: int, p: int) -> Array:
+def akaike(cost: NDArray[np.floating], frames: int, p: int) -> NDArray[np.floating]:
     """n ln(WRSS / n) + 2 p + 2 p (p + 1) / (n - p - 1), p counting the variance; NaN where there are too few frames."""
     with np.errstate(all="ignore"):
         small_sample = 2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan

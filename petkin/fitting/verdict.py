@@ -28,7 +28,7 @@ def delta_variances(slopes, covariance, variances):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def conclude(found, outcome, degrees, values, percent, chi2, status):
+def conclude(found, outcome, degrees, answer, first, last):
     """Fill in the answers of some curves; what must not be used is NaN.
 
     Args:
@@ -36,29 +36,33 @@ def conclude(found, outcome, degrees, values, percent, chi2, status):
             sum of squares (n,), which is overwritten, what it is at unit noise on average (n,), sum of the values of a
             curve (n,), whether they are numbers (n,).
         outcome: the quantity that the method is used for.
-        degrees: frames less unknowns.
-        values, percent, chi2, status: room for the answers (M, n) twice, (n,) twice.
+        degrees: frames less unknowns, a number of the type of the answers.
+        answer: room for values and percent errors (M, N), chi-square and status (N,), of which the curves from `first`
+            to one before `last` are filled in.
     """
     estimates, deviations, wrss, freedom, total, finite = found
+    values, percent = answer[0], answer[1]
+    chi2, status = answer[2][first:last], answer[3][first:last]  # cut row by row: the compiler knows them contiguous
     chosen = estimates[outcome]
+    hundred, none = chi2.dtype.type(100.0), chi2.dtype.type(np.nan)
     # Short loops over few arrays: with more the compiler gives up showing that they do not overlap.
     for n in range(len(status)):
-        chi2[n] = wrss[n] / degrees if (total[n] > 0.0) & (abs(chosen[n]) < np.inf) else np.nan
+        chi2[n] = wrss[n] / degrees if (total[n] > 0.0) & (abs(chosen[n]) < np.inf) else none
     for n in range(len(status)):
-        chi2[n] = chi2[n] if finite[n] else np.nan
+        chi2[n] = chi2[n] if finite[n] else none
     noise = wrss
     for n in range(len(status)):
-        noise[n] = 100.0 * np.sqrt(wrss[n] / freedom[n])
+        noise[n] = hundred * np.sqrt(wrss[n] / freedom[n])
     for m in range(len(values)):
-        estimate, value = estimates[m], values[m]
+        estimate, value = estimates[m], values[m][first:last]
         for n in range(len(value)):
-            value[n] = estimate[n] if chi2[n] == chi2[n] else np.nan
-        deviation, error = deviations[m], percent[m]
+            value[n] = estimate[n] if chi2[n] == chi2[n] else none
+        deviation, error = deviations[m], percent[m][first:last]
         for n in range(len(error)):
             error[n] = deviation[n] * noise[n] / abs(value[n])
-    told = percent[outcome]
+    told = percent[outcome][first:last]
     for n in range(len(status)):
-        status[n] = _OK if told[n] <= 100.0 else _UNSURE
+        status[n] = _OK if told[n] <= hundred else _UNSURE
     for n in range(len(status)):
         status[n] = status[n] if total[n] > 0.0 else _SILENT
     for n in range(len(status)):

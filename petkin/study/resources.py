@@ -11,14 +11,15 @@ import numpy as np
 import psutil
 
 from petkin.errors import InputError
+from petkin.fitting.parts import PART, busy
 from petkin.io import Rows, Scratch, Series
 
 #: Share of the free memory that is used where no limit is given.
 _SHARE = 0.5
 #: Where Linux says what a container may hold and holds (control groups, version 2).
 _CONTAINER = Path("/sys/fs/cgroup")
-#: Voxels are fitted in whole parts of this many.
-_PART = 16384
+#: Curves and results of a scan that are held in memory; more lies in files, which the system keeps there while it can.
+_HELD = 2**24
 #: Numbers of 8 bytes a voxel that a fit holds at a time, beyond `_PER_FRAME` a frame (measured: Logan takes most).
 _PER_VOXEL, _PER_FRAME = 48, 8
 #: Bytes of compiled code, what draws reports, and scipy: loaded when a scan has been planned (measured: 181 MB).
@@ -81,18 +82,18 @@ class Resources:
         frame = grid * max(3 * max(series.header.dtype.itemsize, 4) + 12, _DENOISING if denoised else 0)
         voxel = 8 * (_PER_VOXEL + _PER_FRAME * series.count)
         left = self.memory - here - frame
-        if left < voxel * _PART:
-            least = (here + frame + voxel * _PART) / 2**30
+        if left < voxel * PART:
+            least = (here + frame + voxel * PART) / 2**30
             raise InputError(
                 f"--memory {self.memory / 2**30:.2f}G is too little for a frame of {series.path.name}, the program and "
                 f"a block of voxels; give at least {np.ceil(100 * least) / 100:.2f}G."
             )
         kept = 4 * voxels * series.count + 4 * (voxels + grid) * _MAPS * models
-        on_disk = self.helpers > 1 or kept > left // 2
-        block = (left if on_disk else left - kept) // voxel
+        on_disk = self.helpers > 1 or kept > min(_HELD, left // 2)
+        block = min((left if on_disk else left - kept) // voxel, busy())
         if self.helpers > 1:
             block = min(block, voxels // (2 * self.helpers))
-        return Plan(self, on_disk, max(block // _PART, 1) * _PART, max(left // (8 * grid), 1))
+        return Plan(self, on_disk, max(block // PART, 1) * PART, max(left // (8 * grid), 1))
 
 
 @dataclass(frozen=True)

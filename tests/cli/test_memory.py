@@ -45,8 +45,8 @@ def _fit(folder: Path, *more: str) -> tuple[int, str, float]:
     return done.returncode, done.stderr, float(done.stdout) / 2 ** (30 if sys.platform == "darwin" else 20)
 
 
-def _image(folder: Path) -> None:
-    mask = np.ones(_SHAPE, np.bool_)
+def _image(folder: Path, shape: tuple[int, int, int] = _SHAPE) -> None:
+    mask = np.ones(shape, np.bool_)
     problem = fit_problem(voxels=2048, percent=5.0)
     write_image(folder, replace(problem, curves=np.tile(problem.curves, (mask.size // 2048, 1))), mask)
 
@@ -58,6 +58,18 @@ def _least(folder: Path, *more: str) -> float:
     least = re.search(r"give at least (\d+\.\d\d)G", said)
     assert least is not None
     return float(least.group(1)) + 0.01
+
+
+def test_without_a_limit_a_large_image_takes_little_more_than_a_small_one(tmp_path: Path) -> None:
+    """At most twice the 16 coefficients and the chi-square of every voxel, which are all that a fit looks at."""
+    large, small = tmp_path / "large", tmp_path / "small"
+    held = []
+    for folder, shape in ((large, _SHAPE), (small, (16, 16, 8))):
+        folder.mkdir()
+        _image(folder, shape)
+        _fit(folder)  # the first run compiles
+        held.append(_fit(folder)[2])
+    assert held[0] - held[1] <= 2 * 17 * 4 * np.prod(_SHAPE) / 2**30
 
 
 def test_a_limit_holds_for_denoising_too(tmp_path: Path) -> None:

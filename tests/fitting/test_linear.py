@@ -103,6 +103,22 @@ def test_single_precision_in_either_order_is_double_precision_of_the_same_number
     assert fit_linear(single, d, regression, settings={}, keep_predicted=False)["a"].tobytes() == double["a"].tobytes()
 
 
+def test_columns_in_common_are_fitted_in_the_precision_of_the_curves():
+    """Rounding stays far below the standard errors, and no verdict turns on it."""
+    d, regression = design(2, 0), Regression("x", (Quantity("a", "", ""), Quantity("b", "", "")))
+    single = np.asarray(CURVES, np.float32)
+    double = fit_linear(single.astype(np.float64), d, regression, settings={}, keep_predicted=False)
+    found = fit_linear(single, d, regression, settings={}, keep_predicted=False)
+    assert found.status.tobytes() == double.status.tobytes()
+    np.testing.assert_allclose(found.chi2, double.chi2, rtol=1e-4)
+    np.testing.assert_allclose(found.aicc, double.aicc, atol=1e-2)
+    for mine, exact in zip(found.estimates, double.estimates):
+        assert mine.value.dtype == np.float32
+        error = np.abs(exact.value) * exact.percent_se / 100.0
+        assert (np.abs(mine.value - exact.value) < 1e-3 * error).all()
+        np.testing.assert_allclose(mine.percent_se, exact.percent_se, rtol=1e-3)
+
+
 def test_columns_that_depend_on_each_other_have_no_answer_and_say_so():
     """An own column that is a multiple of a shared one: not identifiable, and neighbours do not feel it."""
     d = design(1, 1)

@@ -9,6 +9,7 @@ import pytest
 
 from petkin.errors import InputError
 from petkin.fitting import Choices, Given, Need, ReferenceCurve
+from petkin.fitting.parts import PART
 from petkin.io import Rows, Scratch
 from petkin.methods import METHODS, Method
 from petkin.study.fit import fit_study
@@ -99,7 +100,7 @@ def test_a_plan_keeps_to_its_memory(tmp_path: Path, problem) -> None:
         assert (plenty.on_disk, plenty.parts(40)) == (False, [slice(0, 40)])
         million = Resources(free_memory(), scratch).plan(series, 10**9, 1)
         assert million.on_disk
-        assert million.block % 16384 == 0
+        assert million.block % PART == 0
         assert 8 * 26 * million.block < free_memory()
         with pytest.raises(InputError, match=r"--memory 0\.05G is too little .*; give at least \d+\.\d\dG"):
             Resources(GB // 20, scratch).plan(series, 40, 1)

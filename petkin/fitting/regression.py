@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from petkin.errors import InputError
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.linear import LinearDesign, LinearSolutions, LinearSolver
-from petkin.fitting.parts import in_parts
+from petkin.fitting.parts import PART, in_parts
 from petkin.fitting.results import Estimate, FitResult
 from petkin.fitting.shared_columns import Answer
 from petkin.fitting.summary import akaike
@@ -97,7 +97,7 @@ def fit_linear(
         answer.compare(part)
 
     with np.errstate(all="ignore"):
-        in_parts(fit, len(curves))
+        in_parts(fit, len(curves), 2 * PART if alike else PART)
         predicted = _predict(frames, design, solver, answer) if keep_predicted else None
     return FitResult(
         model=regression.label,

@@ -9,7 +9,7 @@ import typer
 
 
 def speed_fit(
-    voxels: Annotated[int, typer.Option(help="Curves that petkin fits, a problem.", min=1000)] = 100_000,
+    voxels: Annotated[int, typer.Option(help="Curves that petkin fits, a problem.", min=1000)] = 370_000,
     by_hand: Annotated[int, typer.Option(help="Curves fitted by hand, a problem.", min=10)] = 400,
     threads: Annotated[int, typer.Option(help="Threads; 0 for all cores.", min=0)] = 0,
     quick: Annotated[bool, typer.Option("--quick", help="A small run that keeps nothing.")] = False,

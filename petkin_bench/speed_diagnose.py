@@ -22,7 +22,7 @@ from petkin_bench.withheld.subject import Frames, draw_subject
 #: (regions, frames, draws of noise) of every row, and the scans of the cohort.
 SIZES = ((1, 36, 400), (5, 18, 400), (5, 36, 400), (5, 72, 400), (5, 36, 500), (10, 36, 400), (20, 36, 400))
 COHORT = 20
-_SCANS, _PERCENT = 3, 2.0
+_SCANS, _PERCENT = 7, 2.0
 
 
 def scan_of(seed: int, regions: int, frames: int) -> Scan:

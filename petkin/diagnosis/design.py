@@ -6,7 +6,7 @@ d'(e) = |a P g_e|,   c(e, e') = |g_e' P g_e'| / (|P g_e| |P g_e'|),   P the proj
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,8 @@ def foresee(simulator: Simulator, noise: Noise, fit: Fit, found: Sequence[Templa
         found: templates around it.
     """
     projection = Projection.of(fit.jacobian, np.full(len(fit.penalty), 1e-12))
-    straight = [_tangent(simulator, noise, fit, template) for template in found]
-    return _all(_strongest(straight, projection), projection, fit, simulator)
+    straight = [_tangent(simulator, noise, fit, template) for template in _strongest(found, projection)]
+    return _all([(t.hypothesis, _column(t)) for t in straight], projection, fit, simulator)
 
 
 def _tangent(simulator: Simulator, noise: Noise, fit: Fit, template: Template) -> Template:
@@ -74,20 +74,25 @@ def _tangent(simulator: Simulator, noise: Noise, fit: Fit, template: Template) -
     step = _STEP * max(hypothesis.upper, -hypothesis.lower)
     ends = (Term(hypothesis, side * step, template.setting) for side in (1.0, -1.0))
     above, below = (simulator.predict(fit.state.own, fit.state.shared, (*fit.state.terms, end)) for end in ends)
-    return replace(template, columns=noise.whiten((above - below)[None] / (2.0 * step)).T)
+    return Template.of(hypothesis, template.setting, (above - below) / (2.0 * step), noise)
 
 
-def _strongest(found: Sequence[Template], projection: Projection) -> list[tuple[Hypothesis, Array]]:
-    """One column a hypothesis, at the end of its range and the setting where it is seen best; all channels alike."""
-    best: dict[str, tuple[float, Hypothesis, Array]] = {}
-    for template in found:
-        hypothesis = template.hypothesis
-        reach = 1.0 if hypothesis.flag else max(hypothesis.upper, -hypothesis.lower)
-        column = reach * template.columns.sum(axis=1)
-        size = float(projection.norms(column[:, None])[0])
-        if hypothesis.name not in best or size > best[hypothesis.name][0]:
-            best[hypothesis.name] = (size, hypothesis, column)
-    return [(hypothesis, column) for _, hypothesis, column in best.values()]
+def _strongest(found: Sequence[Template], projection: Projection) -> list[Template]:
+    """One template a hypothesis, at the setting where it is seen best."""
+    columns = np.stack([_column(template) for template in found], axis=1)
+    best: dict[str, tuple[float, Template]] = {}
+    for template, size in zip(found, projection.norms(columns)):
+        name = template.hypothesis.name
+        if name not in best or size > best[name][0]:
+            best[name] = (float(size), template)
+    return [template for _, template in best.values()]
+
+
+def _column(template: Template) -> Array:
+    """What a template adds at the end of its range, all channels alike."""
+    hypothesis = template.hypothesis
+    reach = 1.0 if hypothesis.flag else max(hypothesis.upper, -hypothesis.lower)
+    return reach * template.columns.sum(axis=1)
 
 
 def _all(

@@ -18,7 +18,7 @@ from petkin.diagnosis.nominal import base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, refit
-from petkin.diagnosis.scan import Scan, starts, templates
+from petkin.diagnosis.scan import Scan, Template, starts, templates
 from petkin.diagnosis.sets import LAPSE, confusability, probabilities, smallest_set
 from petkin.diagnosis.unknown import Smooth, beside
 from petkin.diagnosis.verdict import Cause, Diagnosis
@@ -87,7 +87,7 @@ def diagnose(
     drawn = scan.projection.left(drawn, scan.projection.priors(rng, draws, base))
     p = p_value(float(scan.statistic(base.residual)), scan.statistic(drawn))
     progress("refitting the likely ones", 0.4)
-    explained = _explained(simulator, data, _Explained(noise, base, scan, []), hypotheses, always)
+    explained = _explained(simulator, data, _Explained(noise, base, scan, []), always)
     progress("weighing", 0.8)
     return _verdict(simulator, data, explained, hypotheses, p, drawn)
 
@@ -101,13 +101,15 @@ def foresee_design(simulator: Simulator, data: Array, hypotheses: Sequence[Hypot
 def scan_of(simulator: Simulator, noise: Noise, base: Fit, hypotheses: Sequence[Hypothesis]) -> Scan:
     """All hypotheses that can be seen at all around a fit."""
     found = [t for t in templates(simulator, noise, base, hypotheses) if np.any(t.columns)]
+    return _scan(found, simulator, noise, base)
+
+
+def _scan(found: Sequence[Template], simulator: Simulator, noise: Noise, base: Fit) -> Scan:
     projection = Projection.of_fit(base)
     return Scan(found, projection, Smooth.around(base.values, simulator.times, noise, projection))
 
 
-def _explained(
-    simulator: Simulator, data: Array, first: _Explained, hypotheses: Sequence[Hypothesis], always: frozenset[str]
-) -> _Explained:
+def _explained(simulator: Simulator, data: Array, first: _Explained, always: frozenset[str]) -> _Explained:
     """Single causes and pairs; where one is sure, noise is first estimated again from its residual."""
     noise, base, scan = first.noise, first.base, first.scan
     found = singles(simulator, data, noise, base, scan, always)
@@ -117,7 +119,7 @@ def _explained(
         if quieter is not noise:
             noise = quieter
             base = refit(simulator, data, noise, base.state)
-            scan = scan_of(simulator, noise, base, hypotheses)
+            scan = _scan([t.under(noise) for t in scan.templates], simulator, noise, base)
             found = again(simulator, data, noise, base, scan, found)
     double = pairs(simulator, data, noise, base, scan, found) if found[0].log_evidence > 1.0 else []
     return _Explained(noise, base, scan, sorted([*found, *double], key=lambda c: -c.log_evidence))

@@ -20,6 +20,8 @@ from petkin.diagnosis.noise import Noise
 #: Iterations, the fall of the objective at which they end, and how many more while it falls by more than this.
 _MOST, _SETTLED = 12, 0.01
 _LONGEST, _FALLING = 40, 0.3
+#: More falls like the last that are hoped for before a refit that lies far behind is given up.
+_HOPED = 5
 #: Damping at which no step is left to take.
 _STUCK = 1e6
 #: Difference quotients take this share of an amplitude's range, and this much of the log of a shape.
@@ -65,7 +67,14 @@ class Fit:
 
 
 def refit(
-    simulator: Simulator, data: Array, noise: Noise, start: State, *, iterations: int = _MOST, renewed: int = 1
+    simulator: Simulator,
+    data: Array,
+    noise: Noise,
+    start: State,
+    *,
+    iterations: int = _MOST,
+    renewed: int = 1,
+    behind: float = np.inf,
 ) -> Fit:
     """The nearest minimum from a start.
 
@@ -77,6 +86,7 @@ def refit(
         iterations: at most so many, unless the objective still falls by what evidence would feel.
         renewed: after how many steps the simulator's own derivatives are taken again; those of terms always are. They
             are at the end, and where a step fails.
+        behind: objective from which on only the first iterations are done, unless it falls fast.
     """
     target, damping, stale = noise.whiten(data), 1e-3, 0
     here = _at(simulator, noise, target, start)
@@ -84,7 +94,8 @@ def refit(
         lower, damping = _lower(simulator, noise, target, here, damping, patient=not stale)
         fell = 0.0 if lower is None else here.objective - lower.objective
         here, stale = (here, stale) if lower is None else (lower, stale + 1)
-        settled = fell < _SETTLED or (i + 1 >= iterations and fell < _FALLING)
+        lost = here.objective - _HOPED * fell > behind
+        settled = fell < _SETTLED or (i + 1 >= iterations and (fell < _FALLING or lost))
         if settled and not stale:
             break
         if settled or stale >= renewed:

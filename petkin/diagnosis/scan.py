@@ -25,11 +25,22 @@ _NEAR, _OTHERWISE = 6.0, 0.8
 
 @dataclass(frozen=True)
 class Template:
-    """What a hypothesis adds at a weak amplitude, per unit of it: whitened columns (n, 1), or one a channel (n, C)."""
+    """What a hypothesis adds at a weak amplitude, per unit of it: `change` (C, K), and whitened columns, (n, 1) or one
+    a channel (n, C)."""
 
     hypothesis: Hypothesis
     setting: dict[str, float]
+    change: Array
     columns: Array
+
+    @classmethod
+    def of(cls, hypothesis: Hypothesis, setting: dict[str, float], change: Array, noise: Noise) -> Template:
+        local = np.eye(len(change))[:, :, None] * change[None] if hypothesis.by_channel else change[None]
+        return cls(hypothesis, setting, change, noise.whiten(local).T)
+
+    def under(self, noise: Noise) -> Template:
+        """The same under another noise."""
+        return Template.of(self.hypothesis, self.setting, self.change, noise)
 
 
 def templates(simulator: Simulator, noise: Noise, fit: Fit, hypotheses: Sequence[Hypothesis]) -> tuple[Template, ...]:
@@ -42,9 +53,7 @@ def templates(simulator: Simulator, noise: Noise, fit: Fit, hypotheses: Sequence
             size = hypothesis.typical
             term = Term(hypothesis, np.full(count, size) if hypothesis.by_channel else size, dict(setting))
             moved = simulator.predict(fit.state.own, fit.state.shared, (*base, term))
-            change = (moved - fit.values) / size
-            columns = np.eye(count)[:, :, None] * change[None] if hypothesis.by_channel else change[None]
-            found.append(Template(hypothesis, dict(setting), noise.whiten(columns).T))
+            found.append(Template.of(hypothesis, dict(setting), (moved - fit.values) / size, noise))
     return tuple(found)
 
 

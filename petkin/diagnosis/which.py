@@ -27,6 +27,8 @@ _BLATANT, _FAR = 40.0, 0.3
 _GLARING = 1000.0
 #: Settings at which a refit begins, and the log evidence beyond which scan and refit do not speak of the same.
 _STARTS, _APART = 3, 6.0
+#: Share of the best gain that a refit may lack after its first steps, besides, and still be followed to its end.
+_LAGGING = 0.1
 #: Share of a linear amplitude that a refit begins at where all of it fits worse.
 _WEAKER = 0.1
 #: Iterations of a refit, and after how many the simulator's own derivatives are taken again.
@@ -60,8 +62,12 @@ def singles(
 ) -> list[Candidate]:
     """Every hypothesis with its evidence, the promising ones after a full refit; best first.
 
+    A refit begins anew at other settings, unless it holds what the scan promised and that is far behind the best; one
+    that is far behind after its first steps is not followed.
+
     Where a gap is blatant, flags and `always` get a refit too: a weak template says little of them at full strength. So
-    does what is likelier than the rest before any data; and where a gap is glaring, all that the scan puts first.
+    does what is likelier than the rest before any data. Where a gap is glaring, all that the scan puts first is
+    refitted, from all its settings and to the end.
     """
     each = scan.each(base.residual)
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
@@ -70,12 +76,18 @@ def singles(
     flags = {t.hypothesis.name for t in scan.templates if t.hypothesis.flag}
     foreseen = {t.hypothesis.name for t in scan.templates if t.hypothesis.log_odds > 0}
     strong = foreseen | (always | flags if excess(base) > _BLATANT else frozenset())
-    least = -np.inf if excess(base) > _GLARING else best - _WITHIN
+    glaring = excess(base) > _GLARING
+    least = -np.inf if glaring else best - _WITHIN
     chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > least) or n in strong]
-    found = []
+    found, ahead, top = [], -np.inf, -np.inf
     for name in chosen:
-        begin = starts(scan, base.residual, each, name, _STARTS)
-        near = max((refitted(simulator, data, noise, base, (t,)) for t in begin), key=lambda c: c.gain)
+        tried: list[Candidate] = []
+        for term in starts(scan, base.residual, each, name, _STARTS):
+            tried.append(refitted(simulator, data, noise, base, (term,), ahead=-np.inf if glaring else ahead))
+            ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
+            if not glaring and by_name[name] < tried[-1].log_evidence < top - _APART:
+                break
+        near = max(tried, key=lambda c: c.gain)
         near = _from_afar(simulator, data, noise, base, near) if name in always else near
         found.append(_averaged(near, scan, each, by_name[name]))
     return _with_rest(found, by_name)
@@ -138,12 +150,22 @@ def halfway(refitted: float, linear: float, terms: tuple[Term, ...]) -> float:
 
 
 def refitted(
-    simulator: Simulator, data: Array, noise: Noise, base: Fit, terms: tuple[Term, ...], begin: Fit | None = None
+    simulator: Simulator,
+    data: Array,
+    noise: Noise,
+    base: Fit,
+    terms: tuple[Term, ...],
+    begin: Fit | None = None,
+    ahead: float = -np.inf,
 ) -> Candidate:
-    """Terms fitted with everything else, from the base fit or another; their evidence and what is known beforehand."""
+    """Terms fitted with everything else, from the base fit or another; their evidence and what is known beforehand.
+
+    Refits that stay far behind the gain of one that is `ahead` are not followed to their end.
+    """
     origin = (begin or base).state
     state = State(origin.own, origin.shared, (*base.state.terms, *terms))
-    fit = refit(simulator, data, noise, state, iterations=_STEPS, renewed=_RENEWED)
+    behind = base.objective - (1.0 - _LAGGING) * ahead + 2.0 * _WITHIN
+    fit = refit(simulator, data, noise, state, iterations=_STEPS, renewed=_RENEWED, behind=behind)
     known = len(base.state.terms)
     return Candidate(
         tuple(sorted(t.hypothesis.name for t in terms)),
@@ -194,6 +216,7 @@ def after_refit(base: Fit, fit: Fit, channels: int, known: int) -> float:
     moving = [(t, p[""]) for t, p in zip(fit.state.terms[known:], places) if not t.hypothesis.flag]
     for term, place in moving:
         total += _averaging(term, fit, place, max(gain, 0.0) / len(moving))
+    total = min(total, 0.5 * gain)  # an average is no larger than the best, however far the refit is from a minimum
     volume = _log_volume(fit.jacobian[:, :size], fit.penalty[:size]) - _log_volume(base.jacobian, base.penalty)
     return total - float(np.clip(0.5 * volume, -_MOST_OCCAM, _MOST_OCCAM))
 

@@ -75,7 +75,7 @@ class Effect:
         """
         for symbol, value in given.items():
             _ = self.parameters[symbol]
-            if not np.all(np.isfinite(value)):
+            if not (math.isfinite(value) if isinstance(value, float) else np.all(np.isfinite(value))):
                 raise InputError(f"Effect {self.name}: {symbol} is {value:g}; give a finite number.")
         return {p.symbol: given.get(p.symbol, p.start) for p in self.parameters}
 

@@ -165,7 +165,8 @@ class _Answer:
     def compare(self, rows: slice) -> None:
         """AICc of some curves."""
         freedom, p = self.used - self.unknowns, self.unknowns + 1
-        self.aicc[rows] = akaike(self.chi2[rows] * freedom, self.used, p)
+        into = self.aicc[rows]
+        akaike(np.multiply(self.chi2[rows], freedom, out=into), self.used, p, into)
 
 
 def _read(solved: LinearSolutions, regression: Regression) -> tuple[Array, Array]:

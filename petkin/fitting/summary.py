@@ -139,11 +139,14 @@ class Judge:
         )
 
 
-def akaike(cost: NDArray[np.floating], frames: int, p: int) -> NDArray[np.floating]:
+def akaike(
+    cost: NDArray[np.floating], frames: int, p: int, into: NDArray[np.floating] | None = None
+) -> NDArray[np.floating]:
     """n ln(WRSS / n) + 2 p + 2 p (p + 1) / (n - p - 1), p counting the variance; NaN where there are too few frames."""
     with np.errstate(all="ignore"):
         small_sample = 2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan
-        answer = np.log(cost / frames)
+        answer = np.divide(cost, frames, out=into)
+        np.log(answer, out=answer)
         answer *= frames
         answer += 2 * p + small_sample
         return answer

@@ -10,8 +10,8 @@ from petkin.fitting.results import Status
 
 Array = NDArray[np.float64]
 
-_OK, _UNSURE = np.uint8(Status.OK), np.uint8(Status.NOT_IDENTIFIABLE)
-_SILENT, _BROKEN = np.uint8(Status.NO_SIGNAL), np.uint8(Status.NOT_FINITE)
+_OK, _UNSURE = int(Status.OK), int(Status.NOT_IDENTIFIABLE)
+_SILENT, _BROKEN = int(Status.NO_SIGNAL), int(Status.NOT_FINITE)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
@@ -60,10 +60,14 @@ def conclude(found, outcome, degrees, answer, first, last):
         deviation, error = deviations[m], percent[m][first:last]
         for n in range(len(error)):
             error[n] = deviation[n] * noise[n] / abs(value[n])
-    told = percent[outcome][first:last]
+    # Codes are chosen in numbers as wide as what they are chosen by: the compiler takes many at a time.
+    told, code, number = percent[outcome][first:last], noise, chi2.dtype.type
+    fine, unsure, silent, broken = number(_OK), number(_UNSURE), number(_SILENT), number(_BROKEN)
     for n in range(len(status)):
-        status[n] = _OK if told[n] <= hundred else _UNSURE
+        code[n] = fine if told[n] <= hundred else unsure
     for n in range(len(status)):
-        status[n] = status[n] if total[n] > 0.0 else _SILENT
+        code[n] = code[n] if total[n] > 0.0 else silent
     for n in range(len(status)):
-        status[n] = status[n] if finite[n] else _BROKEN
+        code[n] = code[n] if finite[n] else broken
+    for n in range(len(status)):
+        status[n] = np.uint8(code[n])

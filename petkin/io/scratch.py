@@ -72,6 +72,11 @@ class Scratch:
     def __enter__(self) -> Scratch:
         return self
 
+    @property
+    def free(self) -> int:
+        """Bytes that the disk still takes."""
+        return shutil.disk_usage(nearest_folder(self.place)).free
+
     def rows(self, name: str, rows: int, columns: int) -> Rows:
         """A table in a file, to be filled.
 
@@ -80,7 +85,7 @@ class Scratch:
         """
         if self._folder is None:
             self._folder = self._open.enter_context(temporary_folder(nearest_folder(self.place)))
-        size, free = 4 * rows * columns, shutil.disk_usage(self._folder).free
+        size, free = 4 * rows * columns, self.free
         if size > free:
             raise InputError(
                 f"{self._folder.parent}: has {free / 1e9:.3g} GB free, but {size / 1e9:.3g} GB of {name} do not fit "

@@ -89,7 +89,7 @@ class Resources:
                 f"a block of voxels; give at least {np.ceil(100 * least) / 100:.2f}G."
             )
         kept = 4 * voxels * series.count + 4 * (voxels + grid) * _MAPS * models
-        on_disk = self.helpers > 1 or kept > min(_HELD, left // 2)
+        on_disk = self.helpers > 1 or kept > left // 2 or _HELD < kept < self.scratch.free
         block = min((left if on_disk else left - kept) // voxel, busy())
         if self.helpers > 1:
             block = min(block, voxels // (2 * self.helpers))

@@ -10,7 +10,7 @@ import pytest
 from petkin.errors import InputError
 from petkin.fitting import Choices, Given, Need, ReferenceCurve
 from petkin.fitting.parts import PART
-from petkin.io import Rows, Scratch
+from petkin.io import Rows, Scratch, open_series
 from petkin.methods import METHODS, Method
 from petkin.study.fit import fit_study
 from petkin.study.resources import Execution, Plan, Resources, free_memory
@@ -78,8 +78,6 @@ def test_the_whole_brain_is_summed_alike_in_memory_and_on_disk(tmp_path: Path, p
     values[3, 5], values[4, 6] = np.nan, -1.0
     mask = np.ones((5, 4, 2), np.bool_)
     request = write_image(tmp_path, problem, mask)
-    from petkin.io import open_series
-
     series = open_series(request.target)
     with Scratch(tmp_path) as scratch:
         plan = Plan(Resources(GB, scratch), on_disk=False, block=10, maps=1)
@@ -92,8 +90,6 @@ def test_the_whole_brain_is_summed_alike_in_memory_and_on_disk(tmp_path: Path, p
 
 
 def test_a_plan_keeps_to_its_memory(tmp_path: Path, problem) -> None:
-    from petkin.io import open_series
-
     series = open_series(write_image(tmp_path, problem, np.ones((5, 4, 2), np.bool_)).target)
     with Scratch(tmp_path) as scratch:
         plenty = Resources(free_memory(), scratch).plan(series, 40, 1)
@@ -104,6 +100,18 @@ def test_a_plan_keeps_to_its_memory(tmp_path: Path, problem) -> None:
         assert 8 * 26 * million.block < free_memory()
         with pytest.raises(InputError, match=r"--memory 0\.05G is too little .*; give at least \d+\.\d\dG"):
             Resources(GB // 20, scratch).plan(series, 40, 1)
+
+
+def test_large_tables_lie_in_files_unless_the_disk_is_full(
+    tmp_path: Path, problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    series = open_series(write_image(tmp_path, problem, np.ones((5, 4, 2), np.bool_)).target)
+    with Scratch(tmp_path) as scratch:
+        room = Resources(8 * GB, scratch)
+        assert room.plan(series, 10**6, 1).on_disk
+        monkeypatch.setattr(Scratch, "free", 0)
+        assert not room.plan(series, 10**6, 1).on_disk
+        assert room.plan(series, 10**8, 1).on_disk  # memory does not hold them either; `rows` says so
 
 
 def test_requests_for_workers_are_checked() -> None:

@@ -63,7 +63,7 @@ def singles(
     """Every hypothesis with its evidence, the promising ones after a full refit; best first.
 
     A refit begins anew at other settings, unless it holds what the scan promised and that is far behind the best; one
-    that is far behind after its first steps is not followed.
+    that is far behind after its first steps is not followed, unless it is a flag's, which begins at full strength.
 
     Where a gap is blatant, flags and `always` get a refit too: a weak template says little of them at full strength. So
     does what is likelier than the rest before any data. Where a gap is glaring, all that the scan puts first is
@@ -82,10 +82,11 @@ def singles(
     found, ahead, top = [], -np.inf, -np.inf
     for name in chosen:
         tried: list[Candidate] = []
+        patient = glaring or name in flags
         for term in starts(scan, base.residual, each, name, _STARTS):
-            tried.append(refitted(simulator, data, noise, base, (term,), ahead=-np.inf if glaring else ahead))
+            tried.append(refitted(simulator, data, noise, base, (term,), ahead=-np.inf if patient else ahead))
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
-            if not glaring and by_name[name] < tried[-1].log_evidence < top - _APART:
+            if not patient and by_name[name] < tried[-1].log_evidence < top - _APART:
                 break
         near = max(tried, key=lambda c: c.gain)
         near = _from_afar(simulator, data, noise, base, near) if name in always else near

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from petkin.diagnosis import Term
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.nominal import base_fit
+from petkin.diagnosis.refit import State, refit
 from petkin.diagnosis.scan import Scan, starts
-from petkin.diagnosis.which import halfway
+from petkin.diagnosis.which import after_refit, halfway
 
 from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
 
@@ -45,3 +48,20 @@ def test_evidence_lies_between_scan_and_refit_but_near_the_refit() -> None:
     assert halfway(10.0, 12.0, weak) == 11.0
     assert halfway(100.0, 10.0, weak) == pytest.approx(97.0)
     assert halfway(100.0, 10.0, flag) == 100.0
+
+
+def test_a_refit_that_failed_is_no_evidence() -> None:
+    """Given up far from any minimum it fits worse than no effect, and its evidence is no more than half that loss."""
+    simulator = DecayingChannels()
+    data = measured(np.random.default_rng(3), Term(hypothesis("offset"), 0.1, {}))
+    base, noise, _, _ = base_fit(simulator, data)
+    scan = scan_of(simulator, noise, base, HYPOTHESES)
+    (term,) = starts(scan, base.residual, scan.each(base.residual), "step")
+    strong = replace(term, amplitude=term.amplitude + 5.0)
+    begin = State(base.state.own, base.state.shared, (strong,))
+    left = refit(simulator, data, noise, begin, iterations=1, behind=-np.inf)
+    followed = refit(simulator, data, noise, begin, iterations=1)
+    assert followed.objective < left.objective
+    gain = base.objective - left.objective
+    assert gain < 0
+    assert after_refit(base, left, len(simulator.channels), 0) <= 0.5 * gain + 4.0  # what volumes may add

@@ -142,7 +142,10 @@ class Judge:
 def akaike(
     cost: NDArray[np.floating], frames: int, p: int, into: NDArray[np.floating] | None = None
 ) -> NDArray[np.floating]:
-    """n ln(WRSS / n) + 2 p + 2 p (p + 1) / (n - p - 1), p counting the variance; NaN where there are too few frames."""
+    """n ln(WRSS / n) + 2 p + 2 p (p + 1) / (n - p - 1), p counting the variance; NaN where there are too few frames.
+
+    The answer goes into an array that is given, which may be that of the cost.
+    """
     with np.errstate(all="ignore"):
         small_sample = 2 * p * (p + 1) / (frames - p - 1) if frames > p + 1 else np.nan
         answer = np.divide(cost, frames, out=into)

@@ -14,11 +14,11 @@ from petkin.errors import InputError
 from petkin.fitting.parts import PART, busy
 from petkin.io import Rows, Scratch, Series
 
-#: Share of the free memory that is used where no limit is given.
+#: Share of the free memory that may be used where no limit is given.
 _SHARE = 0.5
 #: Where Linux says what a container may hold and holds (control groups, version 2).
 _CONTAINER = Path("/sys/fs/cgroup")
-#: Curves and results of a scan that are held in memory; more lies in files, which the system keeps there while it can.
+#: Bytes of curves and results that are held in memory; more lies in files, which the system caches while it can.
 _HELD = 2**24
 #: Numbers of 8 bytes a voxel that a fit holds at a time, beyond `_PER_FRAME` a frame (measured: Logan takes most).
 _PER_VOXEL, _PER_FRAME = 48, 8

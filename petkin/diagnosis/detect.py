@@ -12,15 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from petkin.diagnosis.noise import (
-    Noise,
-    common_share,
-    inverse_root,
-    outlying,
-    pooled,
-    second_differences,
-    without_jumps,
-)
+from petkin.diagnosis.noise import Noise, inverse_root, outlying, second_differences, size_and_share, without_jumps
 
 Array = NDArray[np.float64]
 
@@ -48,7 +40,9 @@ def _student(squares: Array, freedom: float) -> float:
     return float((each - 0.5 * (freedom + 1.0) * np.log1p(squares / (freedom * scale))).sum())
 
 
-def noise_draws(rng: np.random.Generator, count: int, noise: Noise, freedom: float, bases: list[Array]) -> Array:
+def noise_draws(
+    rng: np.random.Generator, count: int, noise: Noise, freedom: float, bases: list[Array], level: Array
+) -> Array:
     """Whitened draws (count, C K) of noise, their size and share estimated from themselves.
 
     Args:
@@ -57,6 +51,7 @@ def noise_draws(rng: np.random.Generator, count: int, noise: Noise, freedom: flo
         noise: whose sizes and share they have.
         freedom: of the tails.
         bases: what the flexible fit took from every channel (K, active).
+        level: typical size of the values in units of the spread (C,).
     """
     (channels, samples), share = noise.spread.shape, noise.share
     alone = _tailed(rng, (count, channels, samples), freedom)
@@ -66,14 +61,10 @@ def noise_draws(rng: np.random.Generator, count: int, noise: Noise, freedom: flo
     left = np.stack([draws[:, c] - (draws[:, c] @ axes) @ axes.T for c, axes in enumerate(bases)], axis=1)
     left = without_jumps(left)
     degrees = np.array([max(samples - axes.shape[1], 1) for axes in bases], float)
-    by_fit = np.sqrt((left**2).sum(axis=-1) / degrees)
-    bends = second_differences(draws)
-    by_bends = np.sqrt((bends**2).mean(axis=-1))
-    smaller = (by_fit**2).sum(axis=-1) <= (by_bends**2).sum(axis=-1)
-    size = pooled(np.where(smaller[:, None], by_fit, by_bends) * noise.size, degrees) / noise.size
-    shares = np.where(smaller, common_share(left / size[..., None]), common_share(bends / size[..., None]))
+    size, shares = size_and_share(left, degrees, second_differences(draws), noise.size, level)
+    relative = (size / noise.size)[..., None]
     mixing = inverse_root(channels, shares)
-    return np.einsum("bcd,bdk->bck", mixing, draws / size[..., None]).reshape(count, -1)
+    return np.einsum("bcd,bdk->bck", mixing, draws / relative).reshape(count, -1)
 
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], freedom: float) -> Array:

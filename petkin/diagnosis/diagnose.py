@@ -13,7 +13,7 @@ from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
 from petkin.diagnosis.effect import Hypothesis, Simulator
 from petkin.diagnosis.estimates import estimates, regions, setting, strengths
 from petkin.diagnosis.how_far import closure
-from petkin.diagnosis.noise import Noise, lowered
+from petkin.diagnosis.noise import Noise, levels, lowered
 from petkin.diagnosis.nominal import base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
@@ -28,9 +28,8 @@ from petkin.diagnosis.which import Candidate, again, refitted, singles
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-#: Draws of noise for the test, and the p-value at which a gap is claimed: below 5 percent, since the draws are linear
-#: in what is refitted and know the law of the noise, and data do neither.
-_DRAWS, CLAIM = 400, 0.02
+#: Draws of noise for the test, and the p-value at which a gap is claimed.
+_DRAWS, CLAIM = 400, 0.05
 #: Log evidence from which on an explanation's own residual tells the noise better than the first floor.
 _SURE = 5.0
 #: Spreads that differ by less than this are the same.
@@ -83,7 +82,7 @@ def diagnose(
     base, noise, bases, loose = base_fit(simulator, data)
     progress("looking at every effect", 0.2)
     scan = scan_of(simulator, noise, base, hypotheses)
-    drawn = noise_draws(rng, draws, noise, tail_freedom(loose), bases)
+    drawn = noise_draws(rng, draws, noise, tail_freedom(loose), bases, levels(base.values, noise.spread))
     drawn = scan.projection.left(drawn, scan.projection.priors(rng, draws, base))
     p = p_value(float(scan.statistic(base.residual)), scan.statistic(drawn))
     progress("refitting the likely ones", 0.4)
@@ -130,7 +129,8 @@ def _quieter(simulator: Simulator, data: Array, noise: Noise, base: Fit, fit: Fi
     before, after = (simulator.spread(np.maximum(f.values, 0.0)) for f in (base, fit))
     weighed = replace(noise, spread=noise.spread * after / before)
     least = least_noise(simulator, fit.values, weighed.spread)
-    found = lowered(weighed, data - fit.values, fit.jacobian.shape[1], least)
+    level = levels(fit.values, weighed.spread)
+    found = lowered(weighed, data - fit.values, fit.jacobian.shape[1], level, least)
     same = np.abs(after / before - 1.0).max() < _SAME_SPREAD and (found.size > 0.97 * noise.size).all()
     return noise if same and found.share > noise.share - 0.05 else found
 

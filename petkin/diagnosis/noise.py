@@ -17,6 +17,10 @@ Array = NDArray[np.float64]
 #: Values beyond three times their median size, two standard deviations, are cut; what that takes from normal ones.
 _JUMP, _CUT = 3.0, 0.957
 _MOST_SHARED = 0.9
+#: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.
+_SMALLER = 1.2
+#: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
+_SCATTER = 3.0
 #: A value this many robust deviations from the other channels is wild; fewer channels than this cannot tell.
 _WILD, _FEW = 3.5, 3
 
@@ -114,46 +118,79 @@ def outlying(residuals: Array) -> Array:
     return np.maximum(np.minimum(apart, alone) / (_WILD * np.maximum(usual, 1e-300)), 1.0)
 
 
-def pooled(sizes: Array, freedom: Array) -> Array:
-    """Sizes (..., C) drawn to their common value, all the more the less they differ beyond their own errors.
+def levels(values: Array, spread: Array) -> Array:
+    """Typical size of a channel's values in units of v, of the later half of its samples (C,)."""
+    late = values.shape[-1] // 2
+    found = np.median(np.abs(values[:, late:]) / spread[:, late:], axis=1)
+    return np.asarray(np.maximum(found, 1e-12 * max(float(found.max()), 1e-300)), np.float64)
 
-    ln s^2 varies by 4 / freedom about its channel's (twice what independent normal values would give: bends overlap,
-    tails may be heavy), and channels differ by what is left of its variance.
+
+def pooled(sizes: Array, freedom: Array, level: Array) -> Array:
+    """Sizes (..., C) drawn to what is common to them, all the more the less they differ beyond their own errors.
+
+    That is one size in units of v or one share of the channels' values, whichever they differ less from. ln s^2 varies
+    by _SCATTER / freedom about its channel's, and channels differ by what is left of its variance.
+
+    Args:
+        sizes: each channel's own.
+        freedom: degrees of freedom (C,).
+        level: typical size of the values in units of v (C,).
 
     Reference: Efron B, Morris C. J Am Stat Assoc 1973;68:117-130 (sizes drawn to each other).
     """
     if sizes.shape[-1] == 1:
         return sizes
-    logs = np.log(np.maximum(sizes, 1e-300) ** 2)
-    error = 4.0 / freedom
+    own = np.log(np.maximum(sizes, 1e-300) ** 2)
+    share = own - 2.0 * np.log(level)
+    by_share = share.var(axis=-1, keepdims=True) < own.var(axis=-1, keepdims=True)
+    logs = np.where(by_share, share, own)
+    error = _SCATTER / freedom
     between = np.maximum(logs.var(axis=-1, ddof=1, keepdims=True) - error.mean(), 0.0)
-    trust = between / (between + error)
-    common = np.log(np.maximum((freedom * sizes**2).sum(axis=-1, keepdims=True) / freedom.sum(), 1e-300))
-    return np.exp(0.5 * (trust * logs + (1.0 - trust) * common))
+    trust, weight = between / (between + error), 1.0 / (between + error)
+    common = (weight * logs).sum(axis=-1, keepdims=True) / weight.sum(axis=-1, keepdims=True)
+    return np.exp(0.5 * (own + (1.0 - trust) * (common - logs)))
 
 
-def first_floor(residuals: Array, spread: Array, flexible: tuple[Array, Array, list[Array]], least: Array) -> Noise:
-    """The smaller of two floors: after the flexible fit, and from second differences of the simulator's residuals.
+def size_and_share(loose: Array, freedom: Array, bends: Array, scale: Array, level: Array) -> tuple[Array, Array]:
+    """Size of the noise (..., C) and its share in common (...), from a flexible fit or from second differences.
+
+    Args:
+        loose: what the flexible fit left, jumps cut (..., C, K).
+        freedom: its degrees of freedom (C,).
+        bends: second differences of the simulator's residuals (..., C, K - 2).
+        scale: of both, in units of v (C,).
+        level: typical size of the values in units of v (C,).
+    """
+    by_fit, by_bends = np.sqrt((loose**2).sum(axis=-1) / freedom), np.sqrt((bends**2).mean(axis=-1))
+    fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
+    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
+    relative = (size / scale)[..., None]
+    return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative))
+
+
+def first_floor(
+    residuals: Array, spread: Array, flexible: tuple[Array, Array, list[Array]], level: Array, least: Array
+) -> Noise:
+    """The noise after the flexible fit or, where they leave clearly less, from second differences.
 
     Args:
         residuals: of the simulator, in units of v (C, K).
         spread: v.
         flexible: as `from_flexible` gives it.
+        level: typical size of the values in units of v (C,).
         least: size below which the simulator's own numerical errors count (C,).
     """
     loose, freedom = without_jumps(flexible[0]), flexible[1]
-    bends = second_differences(residuals)
-    by_fit, by_bends = np.sqrt((loose**2).sum(axis=1) / freedom), np.sqrt((bends**2).mean(axis=1))
-    which = loose if (by_fit**2).sum() <= (by_bends**2).sum() else bends
-    size = pooled(by_fit if which is loose else by_bends, freedom)
-    return Noise(spread, np.maximum(size, least), float(common_share(which / size[:, None])))
+    size, share = size_and_share(loose, freedom, second_differences(residuals), np.ones(len(spread)), level)
+    return Noise(spread, np.maximum(size, least), float(share))
 
 
-def lowered(noise: Noise, residuals: Array, parameters: int, least: Array) -> Noise:
+def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least: Array) -> Noise:
     """Noise estimated again from residuals (C, K, as the data) of a fit; as it was where that is more on the whole."""
     scaled = without_jumps(residuals / noise.spread)
     freedom = max(scaled.size - parameters, scaled.size // 3) / len(scaled)
-    size = np.maximum(pooled(np.sqrt((scaled**2).sum(axis=1) / freedom), np.full(len(scaled), freedom)), least)
+    own = np.sqrt((scaled**2).sum(axis=1) / freedom)
+    size = np.maximum(pooled(own, np.full(len(scaled), freedom), level), least)
     if np.log(size / noise.size).mean() >= 0:
         return noise
     return replace(noise, size=size, share=float(min(noise.share, common_share(scaled / size[:, None]))))

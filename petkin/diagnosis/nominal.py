@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis.effect import Simulator
-from petkin.diagnosis.noise import Noise, first_floor, from_flexible, outlying
+from petkin.diagnosis.noise import Noise, first_floor, from_flexible, levels, outlying
 from petkin.diagnosis.refit import Fit, State, refit
 
 Array = NDArray[np.float64]
@@ -31,9 +31,8 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
         wild = outlying(flexible[0] * spread / plain)
         spread = plain * wild
         flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
-        noise = first_floor(
-            (data - base.values) / spread, spread, flexible, least_noise(simulator, base.values, spread)
-        )
+        least = least_noise(simulator, base.values, spread)
+        noise = first_floor((data - base.values) / spread, spread, flexible, levels(base.values, spread), least)
         base = refit(simulator, data, noise, base.state)
     loose, freedom, bases = flexible
     size = np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]

@@ -29,7 +29,7 @@ def _no_pairs(*_: Any) -> list[Any]:
 _STAND_INS: dict[str, tuple[tuple[str, str, str, Any], ...]] = {
     "projection": (("nuisance", "Projection", "of", _no_axes),),
     "priors": (("effect", "", "_PRIOR_WIDTHS", 1e3),),
-    "common_noise": (("noise", "", "common_share", _no_share), ("detect", "", "common_share", _no_share)),
+    "common_noise": (("noise", "", "common_share", _no_share),),
     "pairs": (("diagnose", "", "pairs", _no_pairs),),
 }
 PARTS = tuple(_STAND_INS)

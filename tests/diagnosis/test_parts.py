@@ -99,7 +99,7 @@ def test_evidence_of_many_amplitudes_is_a_ratio_of_normals() -> None:
 def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
     rng = np.random.default_rng(5)
     noise = Noise(np.ones((5, 36)), np.ones(5), 0.4)
-    draws = noise_draws(rng, 300, noise, np.inf, [np.zeros((36, 0))] * 5)
+    draws = noise_draws(rng, 300, noise, np.inf, [np.zeros((36, 0))] * 5, np.ones(5))
     assert draws.shape == (300, 180)
     assert float((draws**2).mean()) == pytest.approx(1.0, abs=0.06)
 
@@ -133,12 +133,20 @@ def test_benjamini_hochberg_by_hand() -> None:
 
 
 def test_sizes_are_drawn_together_only_as_far_as_chance_could_part_them() -> None:
-    freedom = np.full(4, 30.0)
+    freedom, level = np.full(4, 30.0), np.ones(4)
     alike, apart = np.array([0.95, 1.0, 1.05, 1.0]), np.array([0.2, 1.0, 3.0, 8.0])
-    assert np.ptp(pooled(alike, freedom)) < 1e-12
-    np.testing.assert_allclose(pooled(apart, freedom), apart, rtol=0.12)
-    np.testing.assert_allclose(pooled(7.0 * apart, freedom), 7.0 * pooled(apart, freedom))
-    assert pooled(np.array([2.0]), np.array([30.0])) == 2.0
+    assert np.ptp(pooled(alike, freedom, level)) < 1e-12
+    np.testing.assert_allclose(pooled(apart, freedom, level), apart, rtol=0.12)
+    np.testing.assert_allclose(pooled(7.0 * apart, freedom, level), 7.0 * pooled(apart, freedom, level))
+    assert pooled(np.array([2.0]), np.array([30.0]), np.ones(1)) == 2.0
+
+
+def test_sizes_are_drawn_to_one_share_of_the_values_where_that_is_what_they_are() -> None:
+    freedom, level = np.full(4, 30.0), np.array([1.0, 2.0, 4.0, 8.0])
+    alike = np.array([0.95, 1.0, 1.05, 1.0])
+    assert np.ptp(pooled(alike * level, freedom, level) / level) < 1e-12
+    apart = alike * np.array([1.0, 3.0, 1.0, 9.0])
+    np.testing.assert_allclose(pooled(apart, freedom, level), apart, rtol=0.12)
 
 
 def test_a_quiet_channel_between_loud_ones_is_not_wild() -> None:

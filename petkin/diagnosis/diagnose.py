@@ -17,7 +17,7 @@ from petkin.diagnosis.noise import Noise, levels, lowered
 from petkin.diagnosis.nominal import base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
-from petkin.diagnosis.refit import Fit, refit
+from petkin.diagnosis.refit import Fit, begun, refit
 from petkin.diagnosis.scan import Scan, Template, starts, templates
 from petkin.diagnosis.sets import LAPSE, confusability, probabilities, smallest_set
 from petkin.diagnosis.unknown import Smooth, beside
@@ -206,7 +206,8 @@ def _with_fit(simulator: Simulator, data: Array, explained: _Explained, candidat
     scan, base = explained.scan, explained.base
     each = scan.each(base.residual)
     terms = tuple(starts(scan, base.residual, each, name)[0] for name in candidate.names)
-    fitted = refitted(simulator, data, explained.noise, base, terms)
+    start = begun(simulator, data, explained.noise, base, terms)
+    fitted = refitted(simulator, data, explained.noise, base, start)
     return replace(candidate, fit=fitted.fit, terms=fitted.terms, gain=fitted.gain)
 
 

@@ -24,7 +24,7 @@ _T = np.linspace(-12.0, 70.0, 1641)
 #: ln int exp(-(z - t)^2 / 2) w(z): what remains of exp(t^2 / 2) after averaging.
 _OCCAM = np.log(np.trapezoid(np.exp(-0.5 * (_Z[:, None] - _T[None]) ** 2), dx=1.0 / (len(_Z) - 1), axis=0) + 1e-300)
 #: What a second cause costs in log evidence: most gaps have one cause. Set on training scans.
-SECOND = 10.0
+SECOND = 8.0
 _WIDTHS = np.geomspace(0.5, 40.0, 8)
 
 

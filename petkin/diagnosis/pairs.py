@@ -20,9 +20,9 @@ from petkin.diagnosis.effect import Hypothesis, Simulator, Term, foreknown
 from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
-from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.refit import Fit, begun
 from petkin.diagnosis.scan import Scan, Template, starts
-from petkin.diagnosis.which import Candidate, after_refit, begun, excess, halfway, refitted
+from petkin.diagnosis.which import Candidate, after_refit, excess, halfway, refitted
 
 Array = NDArray[np.float64]
 
@@ -73,8 +73,8 @@ def _likeliest(wanted: dict[tuple[str, ...], _Wanted], best: float, most: int) -
 
 def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted: _Wanted) -> Candidate:
     leader = None if wanted.begin is None else wanted.begin.fit
-    terms = begun(simulator, data, noise, base, wanted.terms, leader)
-    pair = refitted(simulator, data, noise, base, terms, leader)
+    start = begun(simulator, data, noise, leader or base, wanted.terms if leader is None else wanted.terms[-1:])
+    pair = refitted(simulator, data, noise, base, start)
     if wanted.begin is None or leader is None or pair.fit is None:
         value = halfway(pair.log_evidence - wanted.excess, wanted.score, wanted.terms)
         return replace(pair, log_evidence=value - SECOND)

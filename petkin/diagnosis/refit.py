@@ -9,7 +9,7 @@ Reference: Levenberg K. Quart Appl Math 1944;2:164-168; Marquardt DW. SIAM J App
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,10 @@ _MOST, _SETTLED = 12, 0.01
 _LONGEST, _FALLING = 40, 0.3
 #: More falls like the last that are hoped for before a refit that lies far behind is given up.
 _HOPED = 5
+#: The furthest that a step moves the logarithm of a kinetic parameter or of a shape; rounds in which a step is kept in.
+_FURTHEST, _FURTHEST_SHAPE, _ROUNDS = 2.0, 1.0, 6
+#: Shares of a linear amplitude at which a refit may begin.
+_SHARES = (1.0, 0.3, 0.1)
 #: Damping at which no step is left to take.
 _STUCK = 1e6
 #: Difference quotients take this share of an amplitude's range, and this much of the log of a shape.
@@ -105,6 +109,33 @@ def refit(
     return here if not stale else _at(simulator, noise, target, here.state, here.values)
 
 
+def begun(simulator: Simulator, data: Array, noise: Noise, origin: Fit, added: tuple[Term, ...]) -> State:
+    """Where a refit with more terms should begin: they are weaker where that fits better, and what is there makes room.
+
+    A linear amplitude may lie far beyond what a curved effect needs; and a strong effect fits badly until everything
+    else has moved to where it would be beside it, which one linear step tells.
+    """
+    target, normal = noise.whiten(data), origin.jacobian.T @ origin.jacobian + np.diag(origin.penalty)
+    room, pull = _room(simulator, origin.state), np.sqrt(origin.penalty) * origin.pulled
+    best, least = None, np.inf
+    for share in _SHARES:
+        terms = tuple(t if t.hypothesis.flag else replace(t, amplitude=share * t.amplitude) for t in added)
+        here = replace(origin.state, terms=(*origin.state.terms, *terms))
+        values = simulator.predict(here.own, here.shared, here.terms)
+        slope = origin.jacobian.T @ (target - noise.whiten(values)) + pull
+        moved = _moved(simulator, origin.state, _within(normal, slope, *room))
+        there = replace(moved, terms=(*moved.terms, *terms))
+        after = simulator.predict(there.own, there.shared, there.terms)
+        for state, predicted in ((here, values), (there, after)):
+            reached = _objective(simulator, noise, target, state, predicted)
+            if best is None or reached < least:
+                best, least = state, reached
+        if all(t.hypothesis.flag for t in added):
+            break
+    assert best is not None
+    return best
+
+
 def _lower(
     simulator: Simulator, noise: Noise, target: Array, here: Fit, damping: float, *, patient: bool
 ) -> tuple[Fit | None, float]:
@@ -112,9 +143,10 @@ def _lower(
     offset = _offsets(simulator, here.state)
     normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
     slope = here.jacobian.T @ here.residual - here.penalty * offset
+    room = _room(simulator, here.state)
     while damping < _STUCK:
         scale = damping * np.diag(normal) + 1e-12
-        step = np.asarray(np.linalg.solve(normal + np.diag(scale), slope), np.float64)
+        step = _within(normal + np.diag(scale), slope, *room)
         moved = _moved(simulator, here.state, step)
         values = simulator.predict(moved.own, moved.shared, moved.terms)
         if _objective(simulator, noise, target, moved, values) < here.objective:
@@ -125,13 +157,40 @@ def _lower(
     return None, damping
 
 
-def objective(simulator: Simulator, data: Array, noise: Noise, state: State) -> float:
-    """What a refit makes small, at a point."""
-    values = simulator.predict(state.own, state.shared, state.terms)
-    return _objective(simulator, noise, noise.whiten(data), state, values)
+def _within(normal: Array, slope: Array, lower: Array, upper: Array) -> Array:
+    """The step that solves normal s = slope, but for what would leave the room: that stops there, the rest makes up."""
+    step, free = np.zeros(len(slope)), np.ones(len(slope), bool)
+    for _ in range(_ROUNDS):
+        left = slope[free] - normal[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(normal[np.ix_(free, free)], left)
+        beyond = free & ((step < lower) | (step > upper))
+        if not beyond.any():
+            break
+        step, free = np.clip(step, lower, upper), free & ~beyond
+    return np.clip(step, lower, upper)
+
+
+def _room(simulator: Simulator, state: State) -> tuple[Array, Array]:
+    """How far every coordinate may move in one step, down and up."""
+    count = len(simulator.channels)
+    far = [np.full(state.own.size, _FURTHEST), np.full(state.shared.size, np.inf)]
+    lower, upper = [-f for f in far], list(far)
+    for term in state.terms:
+        for part, width in parts(term, count):
+            if part:
+                shape, value = shape_of(term, part), term.setting[part]
+                ends = np.log(shape.lower / value), np.log(shape.upper / value)
+                ends = np.maximum(ends[0], -_FURTHEST_SHAPE), np.minimum(ends[1], _FURTHEST_SHAPE)
+            else:
+                low, high = term.hypothesis.limits
+                ends = low - term.amplitude, high - term.amplitude
+            lower.append(np.broadcast_to(np.minimum(ends[0], 0.0), (width,)))
+            upper.append(np.broadcast_to(np.maximum(ends[1], 0.0), (width,)))
+    return np.concatenate(lower), np.concatenate(upper)
 
 
 def _objective(simulator: Simulator, noise: Noise, target: Array, state: State, values: Array) -> float:
+    """What a refit makes small, at a point."""
     residual = target - noise.whiten(values)
     offset = _offsets(simulator, state)
     return float(residual @ residual + (penalties(simulator, state) * offset**2).sum())
@@ -232,7 +291,7 @@ def _with_step(term: Term, part: str, count: Any) -> Term:
 
 def _moved(simulator: Simulator, state: State, step: Array) -> State:
     count, size = len(simulator.channels), len(simulator.own)
-    own = state.own + np.clip(step[: count * size].reshape(count, size), -2.0, 2.0)
+    own = state.own + step[: count * size].reshape(count, size)
     place = count * size + len(simulator.shared)
     shared = state.shared + step[count * size : place]
     terms = []
@@ -250,7 +309,7 @@ def _advanced(term: Term, part: str, by: Any) -> Term:
     if not part:
         return Term(hypothesis, np.clip(term.amplitude + by, *hypothesis.limits), term.setting)
     shape = shape_of(term, part)
-    value = np.clip(term.setting[part] * np.exp(np.clip(by, -1.0, 1.0)), shape.lower, shape.upper)
+    value = np.clip(term.setting[part] * np.exp(by), shape.lower, shape.upper)
     return Term(hypothesis, term.amplitude, {**term.setting, part: value})
 
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 _MASS, ALIKE = 0.9, 0.95
 #: Evidence of names is divided by this: refits agree less well between programs than within one. Chosen on training
 #: scans between their log score, which asks for 1, and the calibration and size of sets, which other forms spoil.
-_TEMPERATURE = 1.6
+_TEMPERATURE = 1.3
 #: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
 #: often no explanation that was looked at is right, however likely it seems. The second was chosen by how many unnamed
 #: and named training causes are then called unknown.

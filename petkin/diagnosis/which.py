@@ -11,13 +11,14 @@ from petkin.diagnosis import evidence
 from petkin.diagnosis.effect import Simulator, Term, foreknown
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
-from petkin.diagnosis.refit import Fit, State, objective, parts, refit
+from petkin.diagnosis.refit import Fit, State, begun, parts, refit
 from petkin.diagnosis.scan import Scan, starts
 
 Array = NDArray[np.float64]
 
-#: Hypotheses within this many log units of the best are refitted, no more than so many.
-_WITHIN, _MOST = 14.0, 12
+#: Hypotheses within this many log units of the best are refitted, or within this share of it, since templates are
+#: linear and strong effects are not; no more than so many.
+_WITHIN, _SHARE, _MOST = 14.0, 0.2, 12
 #: A hypothesis that was not refitted ranks at least this far below the best that was.
 _BELOW = 3.0
 _MOST_OCCAM = 4.0
@@ -29,8 +30,6 @@ _GLARING = 1000.0
 _STARTS, _APART = 3, 6.0
 #: Share of the best gain that a refit may lack after its first steps, besides, and still be followed to its end.
 _LAGGING = 0.1
-#: Share of a linear amplitude that a refit begins at where all of it fits worse.
-_WEAKER = 0.1
 #: Iterations of a refit, and after how many the simulator's own derivatives are taken again.
 _STEPS, _RENEWED = 4, 3
 
@@ -77,14 +76,15 @@ def singles(
     foreseen = {t.hypothesis.name for t in scan.templates if t.hypothesis.log_odds > 0}
     strong = foreseen | (always | flags if excess(base) > _BLATANT else frozenset())
     glaring = excess(base) > _GLARING
-    least = -np.inf if glaring else best - _WITHIN
+    least = -np.inf if glaring else best - max(_WITHIN, _SHARE * best)
     chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > least) or n in strong]
     found, ahead, top = [], -np.inf, -np.inf
     for name in chosen:
         tried: list[Candidate] = []
         patient = glaring or name in flags
         for term in starts(scan, base.residual, each, name, _STARTS):
-            tried.append(refitted(simulator, data, noise, base, (term,), ahead=-np.inf if patient else ahead))
+            start = begun(simulator, data, noise, base, (term,))
+            tried.append(refitted(simulator, data, noise, base, start, -np.inf if patient else ahead))
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
             if not patient and by_name[name] < tried[-1].log_evidence < top - _APART:
                 break
@@ -106,7 +106,7 @@ def again(
     each = scan.each(base.residual)
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
     likely = [c for c in before if c.fit is not None and c.log_evidence > before[0].log_evidence - _WITHIN]
-    renewed = (refitted(simulator, data, noise, base, c.terms, c.fit) for c in likely)
+    renewed = (refitted(simulator, data, noise, base, c.fit.state) for c in likely if c.fit is not None)
     found = [_averaged(c, scan, each, by_name[c.names[0]]) for c in renewed]
     known = {c.names[0]: c.log_evidence for c in before if c.fit is not None}
     return _with_rest(found, by_name | known)
@@ -128,8 +128,8 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
     strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
     middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
     far = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
-    begin = replace(base, state=replace(base.state, own=simulator.starts[-1]))
-    found = refitted(simulator, data, noise, base, (far,), begin)
+    begin = replace(base.state, own=simulator.starts[-1], terms=(*base.state.terms, far))
+    found = refitted(simulator, data, noise, base, begin)
     return found if found.gain > near.gain else near
 
 
@@ -151,48 +151,23 @@ def halfway(refitted: float, linear: float, terms: tuple[Term, ...]) -> float:
 
 
 def refitted(
-    simulator: Simulator,
-    data: Array,
-    noise: Noise,
-    base: Fit,
-    terms: tuple[Term, ...],
-    begin: Fit | None = None,
-    ahead: float = -np.inf,
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, start: State, ahead: float = -np.inf
 ) -> Candidate:
-    """Terms fitted with everything else, from the base fit or another; their evidence and what is known beforehand.
+    """Terms fitted with everything else, from a start; their evidence and what is known beforehand.
 
     Refits that stay far behind the gain of one that is `ahead` are not followed to their end.
     """
-    origin = (begin or base).state
-    state = State(origin.own, origin.shared, (*base.state.terms, *terms))
     behind = base.objective - (1.0 - _LAGGING) * ahead + 2.0 * _WITHIN
-    fit = refit(simulator, data, noise, state, iterations=_STEPS, renewed=_RENEWED, behind=behind)
+    fit = refit(simulator, data, noise, start, iterations=_STEPS, renewed=_RENEWED, behind=behind)
     known = len(base.state.terms)
+    terms = fit.state.terms[known:]
     return Candidate(
         tuple(sorted(t.hypothesis.name for t in terms)),
         fit,
         after_refit(base, fit, len(simulator.channels), known) + foreknown(terms),
         base.objective - fit.objective,
-        fit.state.terms[known:],
+        terms,
     )
-
-
-def begun(
-    simulator: Simulator, data: Array, noise: Noise, base: Fit, terms: tuple[Term, ...], begin: Fit | None = None
-) -> tuple[Term, ...]:
-    """Terms with which a refit should begin: as they are or, where that fits better, those not in `begin` a tenth as
-    strong. A linear amplitude may lie far beyond what a curved effect needs."""
-    origin, settled = (begin or base).state, () if begin is None else begin.state.terms
-    weaker = tuple(t if t.hypothesis.flag or any(t is s for s in settled) else _weaker(t) for t in terms)
-
-    def reached(some: tuple[Term, ...]) -> float:
-        return objective(simulator, data, noise, State(origin.own, origin.shared, (*base.state.terms, *some)))
-
-    return min((terms, weaker), key=reached)
-
-
-def _weaker(term: Term) -> Term:
-    return replace(term, amplitude=_WEAKER * term.amplitude)
 
 
 def columns_of(fit: Fit, channels: int, known: int) -> list[dict[str, slice]]:

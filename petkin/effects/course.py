@@ -27,17 +27,20 @@ class Course:
     """How rates depart from constant ones; every amplitude is a number or one a region.
 
     Args:
-        flow: relative change of K1 and k2 from `onset` on.
-        release: relative change of k2 at its peak, `width` minutes after `onset`.
+        flow: relative change of K1 and k2.
+        changed: from when on, min.
+        release: relative change of k2 at its peak.
+        released: when it begins, min.
+        width: from then to the peak, min.
         saturation: share of the sites that the fullest moment of a region occupies.
-        onset, width: min.
     """
 
     flow: Any = 0.0
+    changed: float = 0.0
     release: Any = 0.0
-    saturation: Any = 0.0
-    onset: float = 0.0
+    released: float = 0.0
     width: float = 10.0
+    saturation: Any = 0.0
 
     @property
     def _amplitudes(self) -> tuple[Array, ...]:
@@ -55,25 +58,26 @@ class Course:
             (..., C, K), kBq/mL.
         """
         edges = np.unique(np.concatenate([clock.frames.start, clock.frames.end, [0.0]]))
-        times = _steps(edges[edges >= 0], self.onset, plasma)
+        onsets = [onset for size, onset in ((self.flow, self.changed), (self.release, self.released)) if np.any(size)]
+        times = _steps(edges[edges >= 0], onsets, plasma)
         flat = rates.reshape(-1, 4)
         shape = rates.shape[:-1]
         flow, release, saturation = (np.broadcast_to(a, shape).ravel() for a in self._amplitudes)
-        since = times - self.onset
+        since = times - self.released
         rise = np.where(since > 0, since / self.width * np.exp(1.0 - since / self.width), 0.0)
-        started = _part_after(times, self.onset)
+        started = _part_after(times, self.changed)
         u = plasma(torch.from_numpy(times)).numpy()
         curves = _difference(times, u, flat, flow, release, saturation, rise, started)
         return _framed(times, curves, clock).reshape(*shape, -1)
 
 
-def _steps(edges: Array, onset: float, plasma: Forcing) -> Array:
-    """2 s while the input is sharp, a minute at the end, and never across an edge or the onset."""
+def _steps(edges: Array, onsets: list[float], plasma: Forcing) -> Array:
+    """2 s while the input is sharp, half a minute later, and never across an edge or an onset."""
     end = edges[-1]
     knots = np.asarray(plasma.knots)
     arrival = max(float(knots[0]), 0.0)
     fine = [np.arange(0.0, min(arrival + 5.0, end), 1 / 30), np.arange(min(arrival + 5.0, end), end, 0.5)]
-    times = np.concatenate([*fine, edges, [min(max(onset, 0.0), end)]])
+    times = np.concatenate([*fine, edges, np.clip(onsets, 0.0, end)])
     return np.unique(np.round(times.astype(np.float64), 9))
 
 

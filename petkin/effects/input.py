@@ -35,11 +35,7 @@ def _disperse(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     tau, end = values["tau"] / SECONDS_PER_MINUTE, _end(model)
     if tau == 0:
         return model
-    plasma = _smeared(model.input.plasma, tau, end)
-    alike = model.input.whole_blood is model.input.plasma
-    whole_blood = plasma if alike else _smeared(model.input.whole_blood, tau, end)
-    changed = replace(model.input, plasma=plasma, whole_blood=whole_blood, total_plasma=None, parent_fraction=None)
-    return replace(model, input=changed)
+    return _of_all(model, lambda forcing: _smeared(forcing, tau, end))
 
 
 def _end(model: ForwardModel) -> float:

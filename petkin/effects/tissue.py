@@ -49,12 +49,12 @@ def _mix(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     return replace(model, tissue=replace(model.tissue, spread=values["spread"]))
 
 
-def _coursing(build: Callable[[ForwardModel, Mapping[str, Any]], Course]) -> Change:
-    """The change that gives the tissue a course."""
+def _coursing(build: Callable[[ForwardModel, Mapping[str, Any]], dict[str, Any]]) -> Change:
+    """The change that gives the tissue's course what it builds, beside what the course has."""
 
     def change(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
         tissue: Tissue = model.tissue
-        return replace(model, tissue=replace(tissue, course=build(model, values)))
+        return replace(model, tissue=replace(tissue, course=replace(tissue.course or Course(), **build(model, values))))
 
     return change
 
@@ -116,7 +116,9 @@ TIME_VARYING_KINETICS = Effect(
     ),
     meaning="k2 changes for a while in some regions, as when a transmitter is released: k2 (1 + a x e^{1 - x})",
     source="Normandin MD et al. NeuroImage 2012;59:947-960 (gamma-variate); 100 % and more",
-    change=_coursing(lambda m, v: Course(release=placed(m, v, "release"), onset=v["onset"], width=v["width"])),
+    change=_coursing(
+        lambda m, v: {"release": placed(m, v, "release"), "released": v["onset"], "width": v["width"]},
+    ),
     split_by="a scan at rest, without what set it off",
     regional=("release",),
     grid={"width": (5.0, 15.0)},
@@ -127,7 +129,7 @@ FLOW_CHANGE = Effect(
     parameters=ParameterSet((Parameter("flow", "1", 0.2, -0.5, 0.5, meaning="relative change of K1 and k2"), _ONSET)),
     meaning="from `onset` on blood flow differs in all regions: K1 and k2 change by the same share",
     source="changes of 10 to 30 %",
-    change=_coursing(lambda m, v: Course(flow=v["flow"], onset=v["onset"])),
+    change=_coursing(lambda m, v: {"flow": v["flow"], "changed": v["onset"]}),
     split_by="a measurement of flow, or end-tidal CO2 over the scan",
 )
 SATURABLE_BINDING = Effect(
@@ -136,7 +138,7 @@ SATURABLE_BINDING = Effect(
     parameters=ParameterSet((Parameter("occupancy", "1", 0.3, 0.0, 0.9, meaning="share of the sites that fill up"),)),
     meaning="binding sites fill up: k3 (1 - a C_2 / max C_2)",
     source="Delforge J et al. 1990 (k3 = kon (Bmax - B)); low molar activity",
-    change=_coursing(lambda m, v: Course(saturation=v["occupancy"])),
+    change=_coursing(lambda m, v: {"saturation": v["occupancy"]}),
     split_by="a second scan with less mass of tracer",
     suits=_binds,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -227,6 +228,30 @@ def test_effects_join(one_tissue: ForwardModel) -> None:
     torch.testing.assert_close(
         delay.into(blood.into(one_tissue)).frame_values(), blood.into(delay.into(one_tissue)).frame_values()
     )
+
+
+def test_no_effect_is_lost_beside_another(one_tissue: ForwardModel) -> None:
+    """Of any two, in either order, each still changes the values at least half as much as alone."""
+    two = effect_named("second_tissue").inject(able(effect_named("parent_fraction"), one_tissue))
+    base = dataclasses.replace(two, vascular=Vessels(column(0.04, 0.04)), noise=CountingNoise(3.0))
+    plain = base.frame_values()
+    usable = [e for e in EFFECTS if e.suits(base) and e.name != "noise_variance"]
+    alone = {e.name: e.inject(base, weak(e)).frame_values() - plain for e in usable}
+    lost = []
+    for first, second in itertools.permutations(usable, 2):
+        both = second.inject(first.inject(base, weak(first)), weak(second)).frame_values() - plain
+        for kept, other in ((first, second), (second, first)):
+            if (both - alone[other.name]).norm() < 0.5 * alone[kept.name].norm():
+                lost.append((first.name, second.name, kept.name))
+    assert not lost
+
+
+def weak(effect: Effect) -> dict[str, float]:
+    """A tenth of the range, or all of a flag; `blood_volume` says how much there is, not how much more."""
+    if effect.flag:
+        return within(effect)
+    strength = 0.06 if effect.name == "blood_volume" else 0.1 * effect.amplitude.upper
+    return {effect.amplitude.symbol: strength, **within(effect)}
 
 
 def test_gradients_pass_through_an_effect(one_tissue: ForwardModel) -> None:

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 #: Draws of noise for the test, and the p-value at which a gap is claimed.
-_DRAWS, CLAIM = 400, 0.05
+_DRAWS, CLAIM = 400, 0.03
 #: Log evidence from which on an explanation's own residual tells the noise better than the first floor.
 _SURE = 5.0
 #: Spreads that differ by less than this are the same.

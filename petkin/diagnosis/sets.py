@@ -13,9 +13,6 @@ Array = NDArray[np.float64]
 
 #: Mass that a set must hold, and the cosine above which two explanations are one.
 _MASS, ALIKE = 0.9, 0.95
-#: Evidence of names is divided by this: refits agree less well between programs than within one. Chosen on training
-#: scans between their log score, which asks for 1, and the calibration and size of sets, which other forms spoil.
-_TEMPERATURE = 1.3
 #: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
 #: often no explanation that was looked at is right, however likely it seems. The second was chosen by how many unnamed
 #: and named training causes are then called unknown.
@@ -36,7 +33,7 @@ def probabilities(
     values = np.array([*evidence.values()])
     odds = _STEEPNESS * (unknown - np.logaddexp.reduce(values) - _EVEN)
     none = lapse + (1.0 - lapse) * float(0.5 * (1.0 + np.tanh(0.5 * odds)))
-    share = np.exp((values - np.logaddexp.reduce(values / _TEMPERATURE) * _TEMPERATURE) / _TEMPERATURE)
+    share = np.exp(values - np.logaddexp.reduce(values))
     return {name: float(p) for name, p in zip(evidence, (1.0 - none) * share)}, none
 
 

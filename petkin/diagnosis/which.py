@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Hypotheses within this many log units of the best are refitted, or within this share of it, since templates are
 #: linear and strong effects are not; no more than so many.
-_WITHIN, _SHARE, _MOST = 14.0, 0.2, 12
+_WITHIN, _SHARE, _MOST = 14.0, 0.4, 12
 #: A hypothesis that was not refitted ranks at least this far below the best that was.
 _BELOW = 3.0
 _MOST_OCCAM = 4.0
@@ -29,7 +29,7 @@ _GLARING = 1000.0
 #: Settings at which a refit begins, and the log evidence beyond which scan and refit do not speak of the same.
 _STARTS, _APART = 3, 6.0
 #: Share of the best gain that a refit may lack after its first steps, besides, and still be followed to its end.
-_LAGGING = 0.1
+_LAGGING = 0.35
 #: Iterations of a refit, and after how many the simulator's own derivatives are taken again.
 _STEPS, _RENEWED = 4, 3
 
@@ -74,12 +74,13 @@ def singles(
     best = by_name[order[0]]
     flags = {t.hypothesis.name for t in scan.templates if t.hypothesis.flag}
     foreseen = {t.hypothesis.name for t in scan.templates if t.hypothesis.log_odds > 0}
-    strong = foreseen | (always | flags if excess(base) > _BLATANT else frozenset())
-    glaring = excess(base) > _GLARING
-    least = -np.inf if glaring else best - max(_WITHIN, _SHARE * best)
-    chosen = [n for i, n in enumerate(order) if (i < _MOST and by_name[n] > least) or n in strong]
+    blatant, glaring = excess(base) > _BLATANT, excess(base) > _GLARING
+    strong = foreseen | (always | flags if blatant else frozenset())
     found, ahead, top = [], -np.inf, -np.inf
-    for name in chosen:
+    for i, name in enumerate(order):
+        promising = i < _MOST and (glaring or by_name[name] > _least(min(best, top)))
+        if not promising and name not in strong:
+            continue
         tried: list[Candidate] = []
         patient = glaring or name in flags
         for term in starts(scan, base.residual, each, name, _STARTS):
@@ -89,9 +90,15 @@ def singles(
             if not patient and by_name[name] < tried[-1].log_evidence < top - _APART:
                 break
         near = max(tried, key=lambda c: c.gain)
-        near = _from_afar(simulator, data, noise, base, near) if name in always else near
+        far = name in always or (name in flags and blatant)
+        near = _from_afar(simulator, data, noise, base, near) if far else near
         found.append(_averaged(near, scan, each, by_name[name]))
     return _with_rest(found, by_name)
+
+
+def _least(best: float) -> float:
+    """The log evidence from which on a hypothesis may be the cause, where the best has so much."""
+    return best - max(_WITHIN, _SHARE * best)
 
 
 def excess(fit: Fit) -> float:
@@ -105,7 +112,8 @@ def again(
     """The likely ones of `before` under other noise, from where they were."""
     each = scan.each(base.residual)
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
-    likely = [c for c in before if c.fit is not None and c.log_evidence > before[0].log_evidence - _WITHIN]
+    least = _least(before[0].log_evidence)
+    likely = [c for c in before if c.fit is not None and c.log_evidence > least]
     renewed = (refitted(simulator, data, noise, base, c.fit.state) for c in likely if c.fit is not None)
     found = [_averaged(c, scan, each, by_name[c.names[0]]) for c in renewed]
     known = {c.names[0]: c.log_evidence for c in before if c.fit is not None}
@@ -123,13 +131,15 @@ def _with_rest(found: list[Candidate], by_name: dict[str, float]) -> list[Candid
 def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near: Candidate) -> Candidate:
     """The better of a refit that began at the simulator's own fit and one that began away from it, at full strength."""
     (term,) = near.terms
-    if term.hypothesis.flag or near.gain < _BLATANT:
-        return near
-    strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
-    middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
-    far = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
-    begin = replace(base.state, own=simulator.starts[-1], terms=(*base.state.terms, far))
-    found = refitted(simulator, data, noise, base, begin)
+    own = simulator.starts[0]
+    if not term.hypothesis.flag:
+        if near.gain < _BLATANT:
+            return near
+        own = simulator.starts[-1]
+        strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
+        middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
+        term = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
+    found = refitted(simulator, data, noise, base, replace(base.state, own=own, terms=(*base.state.terms, term)))
     return found if found.gain > near.gain else near
 
 

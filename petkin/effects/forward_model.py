@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.typing import NDArray
 from torch import Tensor
 
 from petkin.effects.course import Course
@@ -154,10 +155,10 @@ class ForwardModel:
         return values
 
 
-def peak(values: Any) -> float:
-    """Highest mean over the regions, kBq/mL; over the first of a batch."""
-    first = np.asarray(torch.as_tensor(values).detach()).reshape(-1, *values.shape[-2:])[0]
-    return float(first.mean(axis=0).max())
+def peak(values: Any) -> NDArray[np.float64]:
+    """Highest mean over the regions (..., 1, 1), kBq/mL; each of a batch has its own, or slopes would be wrong."""
+    means = np.asarray(torch.as_tensor(values).detach()).mean(axis=-2)
+    return np.asarray(means.max(axis=-1), np.float64)[..., None, None]
 
 
 #: Names of the stages in the order of the chain.

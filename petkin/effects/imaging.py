@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import Parameter, ParameterSet
@@ -80,7 +81,8 @@ def _offset(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
 def _dead(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
     def distort(x: Any, clock: FrameObservation) -> Any:
         rate = x.mean(axis=-2)[..., None, :] * alike(np.exp(-clock.decay * clock.frames.mid), x)
-        return x * (1.0 - float(values["loss"]) * rate / float(rate.max()))
+        highest = np.asarray(torch.as_tensor(rate).detach()).max(axis=-1, keepdims=True)
+        return x * (1.0 - float(values["loss"]) * rate / alike(highest, x))
 
     return distort
 

@@ -17,7 +17,7 @@ from petkin_bench.withheld.subject import Subject
 
 Array = NDArray[np.float64]
 
-_STEPS, _QUOTIENT = 12, 1e-4
+_STEPS, _QUOTIENT = 60, 1e-4
 #: What keeps directions that no data hold from running away, 1 / sd^2 of logarithms.
 _RIDGE = 1e-4
 

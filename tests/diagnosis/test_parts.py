@@ -116,7 +116,7 @@ def test_p_value_counts_the_data_themselves() -> None:
 
 
 def test_probabilities_sum_to_one_and_follow_evidence() -> None:
-    named, unknown = probabilities({"a": 10.0, "b": 4.0}, 0.0)
+    named, unknown = probabilities({"a": 10.0, "b": 8.0}, 0.0)
     assert sum(named.values()) + unknown == pytest.approx(1.0)
     assert named["a"] > named["b"] > unknown
 

@@ -110,7 +110,7 @@ def refit(
 
 
 def begun(simulator: Simulator, data: Array, noise: Noise, origin: Fit, added: tuple[Term, ...]) -> State:
-    """Where a refit with more terms should begin: they are weaker where that fits better, and what is there makes room.
+    """Where a refit with more terms should begin: weaker where all of them fits worse than none, and with room made.
 
     A linear amplitude may lie far beyond what a curved effect needs; and a strong effect fits badly until everything
     else has moved to where it would be beside it, which one linear step tells.
@@ -130,7 +130,7 @@ def begun(simulator: Simulator, data: Array, noise: Noise, origin: Fit, added: t
             reached = _objective(simulator, noise, target, state, predicted)
             if best is None or reached < least:
                 best, least = state, reached
-        if all(t.hypothesis.flag for t in added):
+        if least < origin.objective or all(t.hypothesis.flag for t in added):
             break
     assert best is not None
     return best

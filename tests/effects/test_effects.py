@@ -135,20 +135,40 @@ def test_an_amplitude_of_zero_changes_no_value(effect: Effect, one_tissue: Forwa
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
 def test_a_table_of_responses_reads_as_the_exact_ones(effect: Effect, one_tissue: ForwardModel) -> None:
+    base, nodes = straightened(effect, one_tissue)
+    changed = effect.inject(base, within(effect))
+    values = scaled(changed, 1.0).values(Tabulated(changed.input, changed.clock, nodes))
+    expected = changed.frame_values().numpy()
+    np.testing.assert_allclose(values, expected, rtol=2e-4, atol=2e-5 * expected.max())
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
+def test_members_of_a_batch_do_not_know_of_each_other(effect: Effect, one_tissue: ForwardModel) -> None:
+    """Slopes are taken from batches: what one member changes in another is a wrong slope."""
+    base, nodes = straightened(effect, one_tissue)
+    changed = effect.inject(base, within(effect))
+    seen = Tabulated(changed.input, changed.clock, nodes)
+    alone = np.stack([scaled(changed, by).values(seen) for by in (1.0, 1.2)])
+    np.testing.assert_allclose(scaled(changed, np.array([[1.0], [1.2]])).values(seen), alone, rtol=1e-12)
+
+
+def straightened(effect: Effect, one_tissue: ForwardModel) -> tuple[ForwardModel, np.ndarray]:
+    """A model that suits the effect, its input in straight pieces between nodes."""
     base = able(effect, one_tissue)
     end = 12.0
     nodes = np.unique(np.concatenate([np.arange(0.0, end, 1 / 120), [0.5, end]]))
     curves = {f: piecewise(getattr(base.input, f), nodes) for f in ("plasma", "whole_blood", "total_plasma")}
-    base = dataclasses.replace(base, input=dataclasses.replace(base.input, **curves))
-    changed = effect.inject(base, within(effect))
-    fast = dataclasses.replace(
-        changed,
-        tissue=dataclasses.replace(changed.tissue, rates={k: v.numpy() for k, v in changed.tissue.rates.items()}),
-        vascular=dataclasses.replace(changed.vascular, volume=np.asarray(changed.vascular.volume)),
+    return dataclasses.replace(base, input=dataclasses.replace(base.input, **curves)), nodes
+
+
+def scaled(model: ForwardModel, by: float | np.ndarray) -> ForwardModel:
+    """With arrays for tensors, and other K1."""
+    rates = {symbol: np.asarray(rate) * (by if symbol == "K1" else 1.0) for symbol, rate in model.tissue.rates.items()}
+    return dataclasses.replace(
+        model,
+        tissue=dataclasses.replace(model.tissue, rates={s: r + 0.0 * rates["K1"] for s, r in rates.items()}),
+        vascular=dataclasses.replace(model.vascular, volume=np.asarray(model.vascular.volume) + 0.0 * rates["K1"]),
     )
-    values = fast.values(Tabulated(fast.input, fast.clock, nodes))
-    expected = changed.frame_values().numpy()
-    np.testing.assert_allclose(values, expected, rtol=2e-4, atol=2e-5 * expected.max())
 
 
 def piecewise(curve, nodes: np.ndarray) -> PiecewiseLinear:

@@ -10,7 +10,7 @@ import pytest
 from petkin.diagnosis import Term
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.nominal import base_fit
-from petkin.diagnosis.refit import State, refit
+from petkin.diagnosis.refit import State, _within, refit
 from petkin.diagnosis.scan import Scan, starts
 from petkin.diagnosis.which import after_refit, halfway
 
@@ -65,3 +65,23 @@ def test_a_refit_that_failed_is_no_evidence() -> None:
     gain = base.objective - left.objective
     assert gain < 0
     assert after_refit(base, left, len(simulator.channels), 0) <= 0.5 * gain + 4.0  # what volumes may add
+
+
+def test_a_step_that_meets_a_limit_goes_on_along_it() -> None:
+    """Cutting what leaves the room would undo the rest of the step; with all else free again it is lower."""
+    rng = np.random.default_rng(8)
+    better = 0
+    for _ in range(50):
+        root, slope = rng.standard_normal((9, 6)), 3.0 * rng.standard_normal(6)
+        normal, lower, upper = root.T @ root, np.full(6, -0.2), np.full(6, np.inf)
+        lower[:3] = -np.inf
+
+        def fall(step: np.ndarray, normal: np.ndarray = normal, slope: np.ndarray = slope) -> float:
+            return float(slope @ step - 0.5 * step @ normal @ step)
+
+        step, cut = _within(normal, slope, lower, upper), np.clip(np.linalg.solve(normal, slope), lower, upper)
+        assert (step >= lower).all()
+        assert fall(step) > fall(cut) - 1e-9
+        assert fall(step) > 0
+        better += fall(step) > fall(cut) + 1e-6
+    assert better > 20

@@ -64,6 +64,8 @@ def singles(
     A refit begins anew at other settings, unless it holds what the scan promised and that is far behind the best; one
     that is far behind after its first steps is not followed, unless it is a flag's, which begins at full strength.
 
+    Who is refitted goes by what the best refit reached, where that is less than the scan promised of it.
+
     Where a gap is blatant, flags and `always` get a refit too: a weak template says little of them at full strength. So
     does what is likelier than the rest before any data. Where a gap is glaring, all that the scan puts first is
     refitted, from all its settings and to the end.

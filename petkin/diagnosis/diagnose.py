@@ -28,7 +28,8 @@ from petkin.diagnosis.which import Candidate, again, refitted, singles
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-#: Draws of noise for the test, and the p-value at which a gap is claimed.
+#: Draws of noise for the test, and the p-value at which a gap is claimed: of 373 training scans of noise alone 0.036
+#: lie below it, and 0.056 below 0.05.
 _DRAWS, CLAIM = 400, 0.03
 #: Log evidence from which on an explanation's own residual tells the noise better than the first floor.
 _SURE = 5.0

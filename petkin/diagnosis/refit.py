@@ -4,7 +4,8 @@
 
 Channels are perturbed together, so that a Jacobian costs as many predictions as one channel has parameters.
 
-Reference: Levenberg K. Quart Appl Math 1944;2:164-168; Marquardt DW. SIAM J Appl Math 1963;11:431-441.
+Reference: Levenberg K. Quart Appl Math 1944;2:164-168; Marquardt DW. SIAM J Appl Math 1963;11:431-441; Bertsekas DP.
+SIAM J Control Optim 1982;20:221-246 (steps that stay within bounds).
 """
 
 from __future__ import annotations

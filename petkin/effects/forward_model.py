@@ -156,9 +156,13 @@ class ForwardModel:
 
 
 def peak(values: Any) -> NDArray[np.float64]:
-    """Highest mean over the regions (..., 1, 1), kBq/mL; each of a batch has its own, or slopes would be wrong."""
-    means = np.asarray(torch.as_tensor(values).detach()).mean(axis=-2)
-    return np.asarray(means.max(axis=-1), np.float64)[..., None, None]
+    """Highest mean over the regions (..., 1, 1), kBq/mL."""
+    return highest(values.mean(axis=-2))[..., None]
+
+
+def highest(course: Any) -> NDArray[np.float64]:
+    """Highest of all frames (..., 1); each of a batch has its own, or slopes would be wrong."""
+    return np.asarray(torch.as_tensor(course).detach(), np.float64).max(axis=-1, keepdims=True)
 
 
 #: Names of the stages in the order of the chain.

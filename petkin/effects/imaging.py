@@ -7,12 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.effects.effect import REGION, Change, Effect, placed
-from petkin.effects.forward_model import Distortion, ForwardModel, peak
+from petkin.effects.forward_model import Distortion, ForwardModel, highest, peak
 from petkin.effects.responses import alike
 from petkin.imaging import FrameObservation
 
@@ -81,8 +80,7 @@ def _offset(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
 def _dead(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
     def distort(x: Any, clock: FrameObservation) -> Any:
         rate = x.mean(axis=-2)[..., None, :] * alike(np.exp(-clock.decay * clock.frames.mid), x)
-        highest = np.asarray(torch.as_tensor(rate).detach()).max(axis=-1, keepdims=True)
-        return x * (1.0 - float(values["loss"]) * rate / alike(highest, x))
+        return x * (1.0 - float(values["loss"]) * rate / alike(highest(rate), x))
 
     return distort
 

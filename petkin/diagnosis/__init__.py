@@ -9,10 +9,13 @@ from petkin.diagnosis.noise import Noise, second_differences
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import smallest_set
+from petkin.diagnosis.unknown import DRIVE, ONE
 from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate
 
 __all__ = [
     "CLAIM",
+    "DRIVE",
+    "ONE",
     "Cause",
     "Cohort",
     "Contrasted",

@@ -20,7 +20,7 @@ from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, begun, refit
 from petkin.diagnosis.scan import Scan, Template, starts, templates
 from petkin.diagnosis.sets import LAPSE, confusability, probabilities, smallest_set
-from petkin.diagnosis.unknown import Smooth, beside
+from petkin.diagnosis.unknown import Smooth, beside, driven
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import over
 from petkin.diagnosis.which import Candidate, again, refitted, singles
@@ -106,7 +106,8 @@ def scan_of(simulator: Simulator, noise: Noise, base: Fit, hypotheses: Sequence[
 
 def _scan(found: Sequence[Template], simulator: Simulator, noise: Noise, base: Fit) -> Scan:
     projection = Projection.of_fit(base)
-    return Scan(found, projection, Smooth.around(base.values, simulator.times, noise, projection))
+    smooth = Smooth.around(base.values, simulator.times, noise, projection, driven(simulator, base))
+    return Scan(found, projection, smooth)
 
 
 def _explained(simulator: Simulator, data: Array, first: _Explained, always: frozenset[str]) -> _Explained:
@@ -196,6 +197,7 @@ def _verdict(
         evidence={c.label: (stage[c.label], c.log_evidence) for c in ranked if len(c.names) == 1},
         strengths=strengths(ranked, explained.scan, simulator, base),
         unknown_evidence=unnamed,
+        unknown_place=explained.scan.unnamed(base.residual),
         visible=foresee(simulator, noise, base, explained.scan.templates),
         alike=alike,
         likely=causes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -170,6 +170,18 @@ class Simulator(Protocol):
 
     def predict(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
         """Values (..., channels, samples) for `own` (..., channels, parameters) and `shared` (parameters,)."""
+        ...
+
+    def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
+        """What channels gain (n, C, K) where what drives them all departs from what is known of it.
+
+        Args:
+            own, shared: where.
+            courses: of the departure, in units of the drive's level: times (T,) -> (n, T).
+
+        Returns:
+            no rows where nothing drives the channels, or where it is known for sure.
+        """
         ...
 
     def spread(self, values: Array) -> Array:

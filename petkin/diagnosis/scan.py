@@ -124,6 +124,10 @@ class Scan:
             return np.full(residuals.shape[:-1], -np.inf)
         return self._smooth.evidence(residuals)
 
+    def unnamed(self, residual: Array) -> str:
+        """Where a smooth discrepancy is likeliest, "" where none is looked for."""
+        return "" if self._smooth is None else self._smooth.likeliest(residual)
+
     def excess(self, each: Array, name: str) -> float:
         """What choosing the best setting of a hypothesis gains over an average one."""
         values = np.array([e for t, e in zip(self.templates, each) if t.hypothesis.name == name])

@@ -2,9 +2,9 @@
 
     delta_c(t) = f_c(t) sum_j w_j phi_j(x) (a_j + b_cj),   x = log(t + 1) or t, rescaled to 0..1,  phi_j = cos(pi j x)
 
-a Gaussian process with a cosine basis, common to all channels, in each for itself, both, or in one of them; only what
-the projection leaves of it counts, so that it can never take what the simulator's own parameters, or a named effect's,
-explain.
+a Gaussian process with a cosine basis, common to all channels, in each for itself, both, or in one of them; or in what
+drives them all, u(t) (1 + sum_j w_j phi_j(x) a_j), as far as they show it. Only what the projection leaves of it
+counts, so that it can never take what the simulator's own parameters, or a named effect's, explain.
 
 Reference: Plumlee M. Bayesian calibration of inexact computer models. J Am Stat Assoc 2017;112:1274-1285.
 doi:10.1080/01621459.2016.1211016
@@ -12,22 +12,29 @@ doi:10.1080/01621459.2016.1211016
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
+from petkin.diagnosis.effect import Simulator
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 
 Array = NDArray[np.float64]
 
+#: Where a discrepancy is: in all channels alike, in each for itself, both, in one alone; or in what drives them all.
+ALIKE, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 12, 0.5
+#: Scales of time on which a discrepancy is smooth, and how far beyond the samples it goes on, in shares of their span.
+_SCALES: tuple[Callable[[Array], Array], ...] = (lambda t: np.log(t + 1.0), lambda t: t)
+_BEYOND = 0.2
 #: Beside a name: what it costs in log evidence, as a second cause does, and which share of the name's own it may add;
 #: where more is left than that, the name is not what the gap is. Beside how many explanations it is looked for.
 _STRANGER, _SMALL, _BESIDE = evidence.SECOND, 0.2, 6
@@ -49,52 +56,90 @@ class Smooth:
 
     Args:
         columns: P G of every time scale (n, m).
-        kinds: by time scale: which columns may be there at once (g, k), and their spread; any of the g is as likely.
+        kinds: by time scale and kind: which columns may be there at once (g, k), and their spread; any of the g is as
+            likely.
     """
 
     columns: tuple[Array, ...]
-    kinds: tuple[tuple[tuple[NDArray[np.intp], evidence.Spread], ...], ...]
+    kinds: tuple[dict[str, tuple[NDArray[np.intp], evidence.Spread]], ...]
 
     @classmethod
-    def around(cls, values: Array, times: Array, noise: Noise, projection: Projection) -> Smooth:
-        """Around predicted values (C, K)."""
+    def around(
+        cls, values: Array, times: Array, noise: Noise, projection: Projection, driven: Sequence[Array] | None = None
+    ) -> Smooth:
+        """Around predicted values (C, K).
+
+        Args:
+            values: predicted.
+            times: of the samples (K,).
+            noise: its covariance.
+            projection: what is refitted.
+            driven: by time scale, what channels show of a departure of what drives them (m, C, K).
+        """
         axes = projection.axes[: projection.rows]
         found, kinds = [], []
-        for scale in (np.log(times + 1.0), times):
-            columns = noise.whiten(discrepancies(values, scale)).T
+        for i, scale in enumerate(_SCALES):
+            changes = discrepancies(values, _cosines(scale, times, times))
+            groups = _groups(len(values))
+            if driven is not None and len(driven[i]):
+                groups[DRIVE] = np.arange(len(changes), len(changes) + len(driven[i]))[None]
+                changes = np.concatenate([changes, driven[i]])
+            columns = noise.whiten(changes).T
             projected = columns - axes @ (axes.T @ columns)
             information = columns.T @ projected
-            spreads = (evidence.Spread.of(information[g[:, :, None], g[:, None, :]]) for g in _groups(len(values)))
             found.append(projected)
-            kinds.append(tuple(zip(_groups(len(values)), spreads)))
+            kinds.append(
+                {k: (g, evidence.Spread.of(information[g[:, :, None], g[:, None, :]])) for k, g in groups.items()}
+            )
         return cls(tuple(found), tuple(kinds))
 
     def evidence(self, residuals: Array) -> Array:
         """log evidence of a discrepancy for what a refit left of whitened data (..., n)."""
+        return evidence.mean(np.stack([value for _, value in self._each(residuals)]), 0)
+
+    def likeliest(self, residual: Array) -> str:
+        """Where the discrepancy is, as far as whitened data (n,) tell."""
+        return max(self._each(residual), key=lambda found: float(found[1]))[0]
+
+    def _each(self, residuals: Array) -> list[tuple[str, Array]]:
+        """log evidence of every kind, on every scale of time."""
         found = []
         for columns, kinds in zip(self.columns, self.kinds):
             scores = residuals @ columns
-            found += [evidence.mean(spread.together(scores[..., group])) for group, spread in kinds]
-        return evidence.mean(np.stack(found), 0)
+            found += [(k, evidence.mean(spread.together(scores[..., g]))) for k, (g, spread) in kinds.items()]
+        return found
 
 
-def _groups(channels: int) -> list[NDArray[np.intp]]:
-    """Columns of a discrepancy common to all channels, in each for itself, both, and in one channel alone."""
+def _groups(channels: int) -> dict[str, NDArray[np.intp]]:
+    """Columns of a discrepancy in all channels alike, in each for itself, both, and in one channel alone."""
     every = np.arange(_COUNT * (1 + channels))
     common, alone = every[None, :_COUNT], every[None, _COUNT:]
-    return [common] if channels == 1 else [common, alone, every[None], alone.reshape(_COUNT, channels).T]
+    if channels == 1:
+        return {ALIKE: common}
+    return {ALIKE: common, EACH: alone, BOTH: every[None], ONE: alone.reshape(_COUNT, channels).T}
 
 
-def discrepancies(values: Array, scale: Array) -> Array:
-    """Columns (n, C, K) of the discrepancy: one block common to all channels, then one a channel.
+def _cosines(scale: Callable[[Array], Array], samples: Array, times: Array) -> Array:
+    """w_j phi_j (n, T) at any times, on a scale of time that the samples span."""
+    first, last = scale(samples[0]), scale(samples[-1])
+    x = np.clip((scale(times) - first) / (last - first), -_BEYOND, 1.0 + _BEYOND)
+    j = np.arange(_COUNT)
+    return np.asarray(np.cos(np.pi * j[:, None] * x) * (1.0 + j[:, None]) ** -_FADING, np.float64)
+
+
+def driven(simulator: Simulator, fit: Fit) -> list[Array]:
+    """What the channels show of a smooth departure of what drives them (m, C, K), on every scale of time."""
+    state, times = fit.state, simulator.times
+    return [simulator.driven(state.own, state.shared, partial(_cosines, scale, times)) for scale in _SCALES]
+
+
+def discrepancies(values: Array, cosines: Array) -> Array:
+    """Columns (m, C, K) of the discrepancy: one block common to all channels, then one a channel.
 
     Args:
         values: predicted (C, K).
-        scale: x of the samples, in any unit (K,).
+        cosines: w_j phi_j of the samples (n, K).
     """
-    x = (scale - scale[0]) / (scale[-1] - scale[0])
-    j = np.arange(_COUNT)
-    cosines = np.cos(np.pi * j[:, None] * x) * (1.0 + j[:, None]) ** -_FADING
     level = values.mean(axis=1, keepdims=True)
     common = cosines[:, None, :] * values[None]
     alone = np.eye(len(values))[None, :, :, None] * (

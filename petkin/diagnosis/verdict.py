@@ -70,6 +70,7 @@ class Diagnosis:
         evidence: stage and log evidence of every single effect.
         strengths: amplitude of every single effect.
         unknown_evidence: of a gap of no name.
+        unknown_place: where that would be, as in `unknown`.
         visible: what this design could tell.
         alike: cosines by pair of causes.
         likely: the likeliest causes whether or not there is a gap, for what several data sets have in common.
@@ -92,6 +93,7 @@ class Diagnosis:
     evidence: dict[str, tuple[str, float]]
     strengths: dict[str, Estimate]
     unknown_evidence: float
+    unknown_place: str
     visible: tuple[Visible, ...]
     alike: dict[frozenset[str], float]
     likely: tuple[Cause, ...] = ()

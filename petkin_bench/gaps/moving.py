@@ -126,6 +126,9 @@ class MovingBodies:
         points = seen(self.body.points(places), self.body.interval, effects)
         return np.moveaxis(points, -3, -1).reshape(*own.shape[:-1], -1)
 
+    def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
+        return np.zeros((0, len(self.channels), len(self.times)))
+
     def spread(self, values: Array) -> Array:
         return np.ones_like(values)
 

@@ -28,6 +28,7 @@ from petkin_bench.withheld.changes import (
     leaked,
     metabolised,
     metabolised_exponential,
+    misread,
     one_frame,
     passed,
     plateau_course,
@@ -39,6 +40,7 @@ from petkin_bench.withheld.changes import (
     step_course,
     trapped,
     triangle_course,
+    trickle,
     wave_course,
     wrong_half_life,
 )
@@ -230,6 +232,9 @@ UNKNOWN: dict[str, tuple[Cause, ...]] = {
         ),
         Cause("", "imaging", scanner(lambda x, f, s, d: x * np.maximum(x / x.max(), 0.01) ** (d.sign * s)), 0.5),
         Cause("", "tissue", course(wave_course, 0), 0.9),
+        Cause("", "tissue", course(step_course, 3), 0.95),
+        Cause("", "input", blood(trickle), 0.1),
+        Cause("", "input", blood(misread), 2.0),
     ),
     "scored": (
         Cause("", "input", blood(second_bolus), 0.5),

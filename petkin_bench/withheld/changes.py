@@ -89,6 +89,17 @@ def second_bolus(b: Blood, size: float, d: Draw) -> Blood:
     return replace(b, total=b.total + size * float(b.total.max()) * s * np.exp(1.0 - s))
 
 
+def trickle(b: Blood, size: float, d: Draw) -> Blood:
+    """The pump goes on at a steady rate for a while, which the record does not know."""
+    gone_on = np.clip((b.t - d.onset) / 0.5, 0.0, 1.0) * np.clip((d.onset + d.length - b.t) / 0.5, 0.0, 1.0)
+    return replace(b, total=b.total + size * float(b.total.max()) * gone_on)
+
+
+def misread(b: Blood, size: float, d: Draw) -> Blood:
+    """Samples around a time were counted wrongly."""
+    return replace(b, total=b.total * (1.0 + size * np.exp(-0.5 * ((b.t - d.onset) / d.length) ** 2)))
+
+
 def _area(t: Array, u: Array) -> Array:
     area = np.zeros(t.size)
     area[1:] = np.cumsum(0.5 * (u[1:] + u[:-1]) * np.diff(t))

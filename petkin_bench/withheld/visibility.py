@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 _STEPS, _QUOTIENT = 60, 1e-4
 #: What keeps directions that no data hold from running away, 1 / sd^2 of logarithms.
 _RIDGE = 1e-4
+#: Change of the whitened values per unit of a logarithm below which a refit does nothing: a rate that went to zero
+#: would else explain, on its straight line, what only a negative one could.
+_FELT = 0.3
 
 
 @dataclass(frozen=True)
@@ -108,17 +111,17 @@ def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw) -
         step = np.asarray(np.linalg.solve(normal + np.diag(scale), jacobian.T @ residual), np.float64)
         moved = simulator.moved(here, step)
         after = target - law.whiten(observe(moved))
-        if after @ after < residual @ residual:
+        with np.errstate(over="ignore"):  # rates may go where curves explode, and come back
             gained = float(residual @ residual - after @ after)
+        if gained > 0:
             here, damping = moved, damping / 10
             fitted, jacobian = simulator.jacobian(here, law)
             if gained < 1e-3:
                 break
         else:
             damping *= 30
-    size = np.linalg.norm(jacobian, axis=0)
-    left, weight, _ = np.linalg.svd(jacobian / np.maximum(size, 1e-300), full_matrices=False)
-    axes = left[:, weight > 1e-7 * weight[0]]
+    left, felt, _ = np.linalg.svd(jacobian, full_matrices=False)
+    axes = left[:, felt > _FELT]
     residual = target - fitted
     return Seen(residual - axes @ (axes.T @ residual), axes, here)
 

@@ -78,6 +78,18 @@ def test_what_the_simulator_can_do_is_not_visible(subject: Subject) -> None:
     assert seen(values * step, Simulator(), subject, noise).detectability > 3.0
 
 
+@pytest.mark.parametrize("size", [1.0, 2.0, 3.0])
+def test_strength_is_what_the_refit_leaves_even_where_rates_go_to_zero(size: float, subject: Subject) -> None:
+    """Trapping drives k4 to zero: the straight line on from there would need it negative."""
+    trapping = next(c for c in KNOWN if c.name == "vascular_trapping")
+    values = observe(subject, (trapping.build(size, draw(np.random.default_rng(2), subject)),))
+    noise = law(values, subject.frames, 2.0, 0.0)
+    found = seen(values, Simulator(), subject, noise)
+    left = np.linalg.norm(noise.whiten(values - observe(found.fitted)))
+    assert found.fitted.rates[:, 3].min() < 1e-4
+    assert found.detectability == pytest.approx(left, rel=0.01)
+
+
 def test_noise_has_its_size_share_and_tails(subject: Subject) -> None:
     rng = np.random.default_rng(0)
     noise = law(observe(subject), subject.frames, 2.0, 0.6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,9 @@ class DecayingChannels:
         for term in terms:
             values = CHANGES[term.hypothesis.name](values, self.times, np.asarray(term.amplitude), term.setting)
         return values
+
+    def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
+        return np.zeros((0, len(self.channels), len(self.times)))
 
     def spread(self, values: Array) -> Array:
         return np.ones_like(values)

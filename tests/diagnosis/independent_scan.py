@@ -72,6 +72,8 @@ def curves(truth: Truth) -> Array:
     parent, total, blood = truth.parent, truth.total, truth.blood
     if e := effects.get("parent_fraction"):
         parent = parent * (1.0 - e["size"] * t**1.6 / (t**1.6 + 12.0**1.6))
+    if e := effects.get("interrupted_record"):
+        total = total + e["size"] * total.max() * ((t > e["onset"]) & (t < e["onset"] + 8.0))
     plasma = total * parent
     extra = effects.get("arterial_delay", {}).get("size", 0.0) / 60.0
     plasma, blood, total = (_late(t, c, truth.delay + extra) for c in (plasma, blood, total))

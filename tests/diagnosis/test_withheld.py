@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from petkin.diagnosis import Diagnosis, diagnose
+from petkin.diagnosis import DRIVE, Diagnosis, diagnose
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.refit import State, refit
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS, effect_named
 from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
+from petkin.study.diagnosis.answer import sentence
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 
 from . import independent_scan as scan
@@ -35,7 +36,9 @@ SINGLES = {
     "attenuation_mismatch": {"size": 0.05, "onset": 41.0, "region": 3.0},
     "motion_step": {"size": 0.1, "onset": 26.0, "region": 2.0},
     "randoms_offset": {"size": 0.03},
+    "interrupted_record": {"size": 0.01, "onset": 30.0},
 }
+NAMED = tuple(name for name in SINGLES if name != "interrupted_record")
 FLAGS = ("mean_life_swap", "decay_applied_twice", "decay_not_applied")
 
 
@@ -111,7 +114,7 @@ def test_noise_is_not_called_a_gap() -> None:
 
 def test_strong_effects_are_named() -> None:
     """At d' = 12 a matched filter names the class in 0.98; 8 effects, four kinds of noise in turn."""
-    found = {name: case(20 + i, name, 12.0, i % 4) for i, name in enumerate(SINGLES)}
+    found = {name: case(20 + i, name, 12.0, i % 4) for i, name in enumerate(NAMED)}
     assert all(c.answer.present for c in found.values())
     assert sum(named(c, name) for name, c in found.items()) >= 6
 
@@ -129,9 +132,32 @@ def test_onset_and_place_of_local_effects() -> None:
     assert found.answer.regions.q_values.argmin() == 2
 
 
+@pytest.mark.parametrize("seed", [50, 54, 56])
+def test_an_input_that_departs_from_its_record_is_not_taken_for_kinetics(seed: int) -> None:
+    """Tracer arrives for 8 min more than the record shows: all regions follow, as if their kinetics changed at once."""
+    found = case(seed, "interrupted_record", 12.0, seed % 4).answer
+    assert (found.kind, found.unknown_place) == ("unknown", DRIVE)
+    assert "plasma input" in sentence(found)
+
+
+def test_what_drives_the_regions_passes_through_their_kinetics() -> None:
+    """Against a simulator that is given the other input whole; a departure by a constant is a scale of C_P alone."""
+    simulator = simulator_of(scan.draw(np.random.default_rng(3)))
+    own, shared = simulator.starts[0], simulator.shared.mean
+    nodes = torch.from_numpy(simulator.nodes)
+    plasma = simulator.input.plasma(nodes).numpy()
+    level = np.sqrt(plasma * np.trapezoid(plasma, simulator.nodes) / simulator.nodes[-1])
+    course = np.exp(-0.5 * ((simulator.nodes - 40.0) / 5.0) ** 2)
+    more = PiecewiseLinear(nodes, torch.from_numpy(plasma + 0.5 * course * level))
+    other = replace(simulator, input=replace(simulator.input, plasma=more), _seen={}, _departed={})
+    expected = other.predict(own, shared) - simulator.predict(own, shared)
+    found = 0.5 * simulator.driven(own, shared, lambda t: np.exp(-0.5 * ((t - 40.0) / 5.0) ** 2)[None])[0]
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
+
+
 def test_what_is_named_closes_the_gap() -> None:
     """Held out, without the selection: most of the excess goes, and the interval holds 1."""
-    closed = [case(20 + i, name, 12.0, i % 4).answer.causes[0].closure for i, name in enumerate(SINGLES)]
+    closed = [case(20 + i, name, 12.0, i % 4).answer.causes[0].closure for i, name in enumerate(NAMED)]
     values = [c.value for c in closed if c is not None]
     assert np.median(values) > 0.9
 

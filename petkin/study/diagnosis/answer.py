@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.diagnosis import Cause, Diagnosis, State, Visible, indistinct
+from petkin.diagnosis import DRIVE, ONE, Cause, Diagnosis, State, Visible, indistinct
 from petkin.effects import effect_named
 from petkin.kinetics import compartment_model
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
@@ -23,6 +23,11 @@ SCHEMA = "petkin-gap/1"
 _REPORTED = ("K1", "VT", "Ki")
 #: State that a stage's effects change.
 _STATES = {"input": "C_P", "vascular": "C_B", "tissue": "C_T"}
+#: What a gap of no name looks like, where that says more than that it is smooth.
+_UNNAMED = {
+    DRIVE: "; it looks as if the plasma input departed from its record",
+    ONE: "; it is likeliest in one region alone",
+}
 _DIGITS = 6
 
 
@@ -104,7 +109,8 @@ def _state(found: Diagnosis) -> list[dict[str, Any]]:
     ]
     if found.kind == "unknown":
         term = "a smooth departure that no catalogued effect makes"
-        return [{"state": "C_T", "term": term, "evidence": found.unknown_evidence}, *named]
+        state = "C_P" if found.unknown_place == DRIVE else "C_T"
+        return [{"state": state, "term": term, "evidence": found.unknown_evidence}, *named]
     return named
 
 
@@ -147,7 +153,8 @@ def sentence(found: Diagnosis) -> str:
         return f"The simulator explains these data: no gap beyond the noise (p = {found.p_value:.2g})."
     if found.kind == "unknown":
         nearest = f"; the nearest is {words(found.causes[0].label)}" if found.causes else ""
-        return f"There is a gap (p = {found.p_value:.2g}) that no catalogued effect explains{nearest}."
+        looks = _UNNAMED.get(found.unknown_place, "")
+        return f"There is a gap (p = {found.p_value:.2g}) that no catalogued effect explains{looks}{nearest}."
     leader = found.causes[0]
     strength = _strength(leader)
     closed = leader.closure

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Coordinates, Hypothesis, Shape, Term
+from petkin.dynamics import Forcing, PiecewiseLinear
 from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vessels
 from petkin.imaging import CountingNoise, FrameObservation
 from petkin.inputs import InputFunction
@@ -27,6 +29,8 @@ _STARTS = (0.06, 0.2)
 _LOG_STEP = 1e-4
 #: Shared parameters that an included effect adds: step in its unit.
 _SHARED_STEP = 1e-3
+#: Departure of C_P by which its effect on regions is taken, which is linear.
+_DEPARTURE = 1e-3
 #: Floor of a frame's expected value, as a share of the region's highest.
 _FLOOR = 0.02
 #: Rates of the dictionary for the noise floor, 1/min.
@@ -65,6 +69,7 @@ class RegionalSimulator:
     measured: frozenset[str] = frozenset()
     flatness: float = 0.0
     _seen: dict[Any, Tabulated] = field(default_factory=dict, repr=False, compare=False)
+    _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def times(self) -> Array:
@@ -152,6 +157,24 @@ class RegionalSimulator:
                 self._seen.clear()
             self._seen[key] = Tabulated(model.input, model.clock, self.nodes)
         return self._seen[key]
+
+    def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
+        """C_P departs by courses times the geometric mean of itself and its mean over the scan."""
+        shapes = courses(self.nodes)
+        key = shapes.tobytes()
+        if key not in self._departed:
+            self._departed[key] = tuple(self._under(shape) for shape in shapes)
+        here = self.predict(own, shared)
+        return np.stack([(other.predict(own, shared) - here) / _DEPARTURE for other in self._departed[key]])
+
+    def _under(self, course: Array) -> RegionalSimulator:
+        """The same with a small departure of C_P."""
+        times = torch.from_numpy(self.nodes)
+        plasma = self.input.plasma(times).numpy()
+        mean = np.trapezoid(plasma, self.nodes) / self.nodes[-1]
+        level = np.sqrt(np.maximum(plasma * mean, 0.0))
+        other = PiecewiseLinear(times, torch.from_numpy(plasma + _DEPARTURE * level * course))
+        return replace(self, input=replace(self.input, plasma=other), _seen={}, _departed={})
 
     def spread(self, values: Array) -> Array:
         """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; as flat as said."""
@@ -261,10 +284,6 @@ def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0
 
 def read_at(arterial: InputFunction, nodes: Array) -> InputFunction:
     """The input as straight lines between nodes."""
-    import torch
-
-    from petkin.dynamics import Forcing, PiecewiseLinear
-
     times = torch.from_numpy(nodes)
 
     def lines(curve: Forcing | None) -> PiecewiseLinear | None:

@@ -72,7 +72,7 @@ class _Recording:
 
     def cut(self, effect: str) -> RegionalSimulator:
         """The full simulator without an effect."""
-        return replace(self.full, includes=tuple(e for e in self.full.includes if e.name != effect), _seen={})
+        return replace(self.full, includes=tuple(e for e in self.full.includes if e.name != effect))
 
 
 def measure_real(
@@ -132,13 +132,13 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
             "parent_fraction",
             ("parent_fraction",),
             values,
-            replace(scan.full, input=bare, measured=frozenset(), _seen={}),
+            replace(scan.full, input=bare, measured=frozenset()),
             rival,
         )
     timed = scan.cut("arterial_delay")
     fitted_s = float(fit.state.shared[0]) * width(effect_named("arterial_delay"))
     for late in (_LATE_S, -_LATE_S):
-        moved = replace(timed, input=record.delayed((fitted_s + late) / SECONDS_PER_MINUTE), _seen={})
+        moved = replace(timed, input=record.delayed((fitted_s + late) / SECONDS_PER_MINUTE))
         yield Case("withheld", f"delay{late:+.0f}s", ("arterial_delay", "frame_offset"), values, moved, rival)
     for name, blunder in _BLUNDERS.items():
         factor = blunder(scan.full.clock, rng)
@@ -200,6 +200,7 @@ def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str
         "detectability": _detectability(case),
         "cpu_s": round(seconds, 2),
         "rivals": " ".join(rivals) or "all",
+        "place": found.unknown_place,
         "leads": leader is not None and _names((leader.label,), case.accepted),
     }
 

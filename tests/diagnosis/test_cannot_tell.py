@@ -30,9 +30,7 @@ def design(seed: int, includes: tuple[str, ...]) -> tuple[frozenset[frozenset[st
     """Pairs and single effects under `cannot_tell` of a scan with noise of 1 to 4 percent."""
     rng = np.random.default_rng(9000 + seed)
     truth = scan.draw(rng)
-    simulator: RegionalSimulator = replace(
-        simulator_of(truth), includes=tuple(effect_named(name) for name in includes), _seen={}
-    )
+    simulator: RegionalSimulator = replace(simulator_of(truth), includes=tuple(effect_named(name) for name in includes))
     data = scan.noisy(scan.curves(truth), rng, percent=float(rng.uniform(1.0, 4.0)), share=0.3 * (seed % 3))
     visible = foresee_design(simulator, data, hypotheses(EFFECTS, simulator, without=frozenset()))
     listed = [frozenset(entry["effects"]) for entry in cannot_tell(visible, simulator)]

@@ -149,7 +149,7 @@ def test_what_drives_the_regions_passes_through_their_kinetics() -> None:
     level = np.sqrt(plasma * np.trapezoid(plasma, simulator.nodes) / simulator.nodes[-1])
     course = np.exp(-0.5 * ((simulator.nodes - 40.0) / 5.0) ** 2)
     more = PiecewiseLinear(nodes, torch.from_numpy(plasma + 0.5 * course * level))
-    other = replace(simulator, input=replace(simulator.input, plasma=more), _seen={}, _departed={})
+    other = replace(simulator, input=replace(simulator.input, plasma=more))
     expected = other.predict(own, shared) - simulator.predict(own, shared)
     found = 0.5 * simulator.driven(own, shared, lambda t: np.exp(-0.5 * ((t - 40.0) / 5.0) ** 2)[None])[0]
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())

@@ -44,10 +44,10 @@ def test_a_clock_ten_seconds_off(shared_data: Path) -> None:
     """The blood record is moved to where it fits, and 10 s beyond; clocks of frames and blood cannot be told apart."""
     found = 0
     for curves, simulator in scans(shared_data, "2tcm", "blood_volume", "vascular_trapping"):
-        timed = replace(simulator, includes=(*simulator.includes, effect_named("arterial_delay")), _seen={})
+        timed = replace(simulator, includes=(*simulator.includes, effect_named("arterial_delay")))
         fit, *_ = base_fit(timed, curves.values)
         seconds = 50.0 * float(fit.state.shared[0])
-        late = replace(simulator, input=simulator.input.delayed((seconds + 10.0) / 60.0), _seen={})
+        late = replace(simulator, input=simulator.input.delayed((seconds + 10.0) / 60.0))
         found += bool({"arterial_delay", "frame_offset"} & names_in_set(curves, late))
     assert found == pytest.approx(SCANS)
 
@@ -57,6 +57,6 @@ def test_a_parent_fraction_measured_with_care_is_seldom_far_off(shared_data: Pat
     _, simulator = scans(shared_data, "2tcm", "blood_volume", "arterial_delay")[0]
     careful, careless = (
         next(h for h in hypotheses(EFFECTS, one, without=frozenset()) if h.name == "parent_fraction")
-        for one in (simulator, replace(simulator, measured=frozenset(), _seen={}))
+        for one in (simulator, replace(simulator, measured=frozenset()))
     )
     assert careful.width == pytest.approx(0.1 * careless.width)

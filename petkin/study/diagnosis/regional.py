@@ -68,8 +68,10 @@ class RegionalSimulator:
     nodes: Array
     measured: frozenset[str] = frozenset()
     flatness: float = 0.0
-    _seen: dict[Any, Tabulated] = field(default_factory=dict, repr=False, compare=False)
-    _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(default_factory=dict, repr=False, compare=False)
+    _seen: dict[Any, Tabulated] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def times(self) -> Array:
@@ -174,7 +176,7 @@ class RegionalSimulator:
         mean = np.trapezoid(plasma, self.nodes) / self.nodes[-1]
         level = np.sqrt(np.maximum(plasma * mean, 0.0))
         other = PiecewiseLinear(times, torch.from_numpy(plasma + _DEPARTURE * level * course))
-        return replace(self, input=replace(self.input, plasma=other), _seen={}, _departed={})
+        return replace(self, input=replace(self.input, plasma=other))
 
     def spread(self, values: Array) -> Array:
         """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; as flat as said."""

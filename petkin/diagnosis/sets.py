@@ -16,7 +16,7 @@ _MASS, ALIKE = 0.9, 0.95
 #: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
 #: often no explanation that was looked at is right, however likely it seems. The second was chosen by how many unnamed
 #: and named training causes are then called unknown.
-_STEEPNESS, _EVEN = 0.5, -1.5
+_STEEPNESS, _EVEN = 0.5, -3.0
 LAPSE = 0.05
 
 

@@ -54,6 +54,7 @@ class RegionalSimulator:
         nodes: times at which the input is read, min.
         measured: effects whose part of the record was measured with care.
         flatness: f of noise that scatters as counts to the power 1 - f.
+        grain: the noise by region and frame, relative to that of counts, where voxels show it (R, K).
     """
 
     channels: tuple[str, ...]
@@ -64,6 +65,7 @@ class RegionalSimulator:
     nodes: Array
     measured: frozenset[str] = frozenset()
     flatness: float = 0.0
+    grain: Array | None = None
     _seen: dict[Any, Tabulated] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -154,10 +156,11 @@ class RegionalSimulator:
         return self._seen[key]
 
     def spread(self, values: Array) -> Array:
-        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; as flat as said."""
+        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; flat, grainy as said."""
         level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
         counted = np.sqrt(level / self.clock.mean_decay_times_duration)
-        return counted ** (1.0 - self.flatness) * np.median(counted, axis=1, keepdims=True) ** self.flatness
+        even = counted ** (1.0 - self.flatness) * np.median(counted, axis=1, keepdims=True) ** self.flatness
+        return even if self.grain is None else even * self.grain
 
     def flexible(self, shared: Array) -> Array:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""

@@ -51,3 +51,11 @@ def test_sums_scatter_as_neighbours_share_noise() -> None:
         np.testing.assert_allclose(found.sizes(weights), true, rtol=0.25)
     large, small = found.of_means()[:, 0]
     assert small > 2.5 * large
+
+
+def test_an_image_without_noise_has_even_noise() -> None:
+    inside = LABELS > 0
+    curves = np.ones((int(inside.sum()), FRAMES)) * np.array([20.0, 30.0])[LABELS[inside] - 1, None]
+    found = voxel_noise(curves, LABELS, np.ones((2, FRAMES)), np.ones((1, FRAMES)) / np.sqrt(FRAMES), np.full(3, 5.0))
+    assert np.isfinite(found.of_means()).all()
+    assert (found.of_means() > 0).all()

@@ -10,6 +10,7 @@ h is the median size of the frame's residuals, C the mean of products of all pai
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +23,8 @@ Array = NDArray[np.float64]
 
 #: Neighbours share noise over no more than this, mm.
 _FURTHEST_MM = 25.0
-#: Median of the size of normal values; a frame of which courses take more than this says nothing of its own noise.
-_MEDIAN, _TAKEN = 0.6745, 0.8
+#: No more than this share of a frame counts as taken by the courses; no frame or region is quieter than that share.
+_TAKEN, _QUIET = 0.8, 0.05
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,9 @@ class VoxelNoise:
         return np.sqrt(np.maximum(found, 0.0))
 
     def of_means(self) -> Array:
-        """Standard deviation of the mean over each region (R, K), of what its voxels do not have in common."""
+        """Relative standard deviation of the mean over each region (R, K), of what its voxels do not share with all."""
         place = self.labels[self.labels > 0] - 1
-        return self.sizes(1.0 / np.bincount(place)[place])[:, None] * self.by_frame
+        return _relative(self.sizes(1.0 / np.bincount(place)[place]), np.max)[:, None] * self.by_frame
 
     def _variance(self, weights: Array) -> float:
         """sum_d C(d) sum_v w_v w_(v + d)."""
@@ -79,9 +80,14 @@ def voxel_noise(curves: Array, labels: NDArray[np.intp], spread: Array, courses:
         left[mine] = beyond - beyond.mean(axis=0)
         taken[mine] = np.minimum((axes**2).sum(axis=1), _TAKEN)
     left /= np.sqrt(1.0 - taken)
-    by_frame = np.median(np.abs(left), axis=0) / _MEDIAN
-    by_frame /= np.median(by_frame)
+    by_frame = _relative(np.median(np.abs(left), axis=0), np.median)
     return VoxelNoise(by_frame, _shared(second_differences(left / by_frame), labels, size), labels)
+
+
+def _relative(sizes: Array, usual: Callable[[Array], float]) -> Array:
+    """Sizes over the usual one, none of them next to nothing; ones where there is no noise."""
+    level = float(usual(sizes))
+    return np.maximum(sizes / level, _QUIET) if level > 0 else np.ones_like(sizes)
 
 
 def _shared(noise: Array, labels: NDArray[np.intp], size: Array) -> Array:

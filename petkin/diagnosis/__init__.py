@@ -1,7 +1,7 @@
 """Diagnosis: where a simulator departs from data, which effect it misses, and how far that closes the gap."""
 
 from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
-from petkin.diagnosis.contrasts import Contrasted, Pattern, judge_contrasts
+from petkin.diagnosis.contrasts import Contrasted, Family, Pattern, judge_contrasts
 from petkin.diagnosis.design import Visible, indistinct
 from petkin.diagnosis.diagnose import CLAIM, diagnose, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
@@ -22,6 +22,7 @@ __all__ = [
     "Coordinates",
     "Diagnosis",
     "Estimate",
+    "Family",
     "Fit",
     "Hypothesis",
     "Member",

@@ -3,7 +3,7 @@
     c_j = a e_j + nuisance + noise,    cov c_j = V_j I + N_j N_j'
 
 for rows j of one family. Rows are whitened, templates projected on them, and their evidence is averaged over settings
-as that of any hypothesis. V_j comes from second differences, which smooth changes and single steps do not raise.
+as that of any hypothesis. V_j is given: a row's own few samples tell it too roughly.
 """
 
 from __future__ import annotations
@@ -16,12 +16,26 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.detect import p_value
-from petkin.diagnosis.noise import second_differences
 
 Array = NDArray[np.float64]
 
 _Z90 = 1.6448536269514722
 _TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Family:
+    """Contrasts of one kind.
+
+    Args:
+        rows: (J, K).
+        nuisance: columns of what they may hold besides, as large as it may be (J, K, n).
+        size: standard deviation of their noise (J,).
+    """
+
+    rows: Array
+    nuisance: Array
+    size: Array
 
 
 @dataclass(frozen=True)
@@ -73,7 +87,7 @@ class Contrasted:
 
 
 def judge_contrasts(
-    families: Mapping[str, tuple[Array, Array]],
+    families: Mapping[str, Family],
     patterns: Sequence[Pattern],
     *,
     least: float,
@@ -83,14 +97,14 @@ def judge_contrasts(
     """Evidence of every pattern's hypothesis.
 
     Args:
-        families: contrasts (J, K) and the columns of their nuisance (J, K, n), by family.
+        families: contrasts by name.
         patterns: what to look for.
         least: smallest standard deviation that noise may have.
         draws: of noise for the p-value.
         rng: randomness.
     """
-    roots = {name: _roots(rows, nuisance, least) for name, (rows, nuisance) in families.items()}
-    observed = {name: _whitened(roots[name], rows) for name, (rows, _) in families.items()}
+    roots = {name: _roots(family, least) for name, family in families.items()}
+    observed = {name: _whitened(roots[name], family.rows) for name, family in families.items()}
     drawn = {name: rng.standard_normal((draws, values.size)) for name, values in observed.items()}
     by_name: dict[str, list[tuple[Pattern, float, float, Array]]] = {}
     for pattern in patterns:
@@ -110,11 +124,11 @@ def judge_contrasts(
     return Contrasted({n: float(v) for n, v in found.items()}, best, p_value(total, _mean(np.stack(nulls))))
 
 
-def _roots(rows: Array, nuisance: Array, least: float) -> Array:
+def _roots(family: Family, least: float) -> Array:
     """C^{-1/2} of every row (J, K, K)."""
-    size = np.sqrt((second_differences(rows) ** 2).mean(axis=-1))
-    variance = np.maximum(size, least) ** 2
-    covariance = variance[:, None, None] * np.eye(rows.shape[1]) + nuisance @ nuisance.swapaxes(-1, -2)
+    variance = np.maximum(family.size, least) ** 2
+    nuisance = family.nuisance @ family.nuisance.swapaxes(-1, -2)
+    covariance = variance[:, None, None] * np.eye(family.rows.shape[1]) + nuisance
     values, axes = np.linalg.eigh(covariance)
     return (axes / np.sqrt(np.maximum(values, _TINY))[:, None, :]) @ axes.swapaxes(-1, -2)
 

@@ -39,7 +39,7 @@ from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.blood import recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
-from petkin.study.diagnosis.imaged import look_at_image, weighed
+from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
@@ -133,10 +133,15 @@ def _diagnosed(
 ) -> _One:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-    scatter, simulator, (fit, noise, *_) = _law_of_noise(simulator, curves, request)
+    scatter, simulator, (fit, *_) = _law_of_noise(simulator, curves, request)
     candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
     progress("looking at the image", 0.0)
-    imaged = look_at_image(source, simulator, fit, noise, frozenset(h.name for h in candidates), seed=request.seed)
+    picture, imaged = picture_of(source, simulator, fit), None
+    if picture is not None:
+        simulator = replace(simulator, grain=picture.grain.of_means())
+        fit, *_ = base_fit(simulator, curves.values)
+        names = frozenset(h.name for h in candidates)
+        imaged = look_at_image(picture, simulator, fit, names, seed=request.seed)
     seen = imaged.log_odds if imaged is not None else {}
     odds = seen | {b.effect: b.odds + seen.get(b.effect, 0.0) for b in shown}
     found = diagnose(

@@ -15,7 +15,7 @@ from petkin_bench.withheld import run as runs
 from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images import cases
 from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, UNKNOWN, Cause, Place
-from petkin_bench.withheld.images.head import NAMES, Pose, draw_head, painted
+from petkin_bench.withheld.images.head import NAMES, Head, Pose, draw_head, painted
 from petkin_bench.withheld.images.score import image_metrics
 from petkin_bench.withheld.images.study import write_study
 from petkin_bench.withheld.images.taking import Scanned, grain, means, spread_out, taken
@@ -88,6 +88,39 @@ def test_what_cannot_be_refitted_is_visible(scanned: Scanned) -> None:
     none, small, large = (cases._made(scene, step, place, size).detectability for size in (0.0, 1.0, 4.0))
     assert none < 0.5
     assert 2.0 * small < large
+
+
+def test_a_head_that_moves_twice_as_little_changes_half_as_much(scanned: Scanned) -> None:
+    """No edge jumps between the points at which voxels are read."""
+    sharp = replace(scanned, width=6.0)
+    step = next(c for c in KNOWN if c.name == "motion_step")
+    place = Place(replace(draw(np.random.default_rng(1), scanned.subject), onset=25.0), 0, scanned.head)
+    plain = taken(sharp)
+    less, more = (taken(sharp, step.build(size, place)) - plain for size in (0.05, 0.1))
+    np.testing.assert_allclose(more, 2.0 * less, atol=1e-9 * plain.max())
+
+
+def test_nobody_knows_how_kinetics_vary(scanned: Scanned) -> None:
+    """What a refit of other rates does to the known pattern of a head's kinetics makes nothing visible."""
+    rng = np.random.default_rng(1)
+    place = Place(draw(rng, scanned.subject), 0, scanned.head)
+    trapping = next(c for c in KNOWN if c.name == "vascular_trapping")
+
+    def visible(head: Head) -> float:
+        scene = cases._Scene(rng, replace(scanned, head=head), cases.Simulator(), 8.0, 0.0, 0)
+        return cases._made(scene, trapping, place, 0.5 * trapping.most).detectability
+
+    even = replace(scanned.head, waves=0.0 * scanned.head.waves, phases=0.0 * scanned.head.phases + 0.5 * np.pi)
+    assert visible(scanned.head) == pytest.approx(visible(even), rel=0.1)
+
+
+def test_an_edge_that_no_label_tells_hides_small_motion(scanned: Scanned) -> None:
+    """A drift by a fiftieth of a voxel is not seen, though it changes all edges of a picture known beforehand."""
+    rng = np.random.default_rng(1)
+    scene = cases._Scene(rng, replace(scanned, width=4.0), cases.Simulator(), 8.0, 0.0, 0)
+    drift = next(c for c in KNOWN if c.name == "motion_drift")
+    place = Place(draw(rng, scanned.subject), 1, scanned.head)
+    assert cases._made(scene, drift, place, 0.1).detectability < 2.0
 
 
 def test_a_case_follows_from_its_numbers_and_is_a_study(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def gap_map_sidecar(found: Diagnosis) -> dict[str, Any]:
 
 def _pattern(voxels: Voxels, found: Diagnosis, clock: FrameObservation) -> Array:
     """Course of the leading cause in every region (R, K), weighted as residuals are; zero without a cause."""
-    values, spread = voxels.fit.values, voxels.noise.spread
+    values, spread = voxels.fit.values, voxels.spread
     if found.frame is not None:
         return values * (np.arange(values.shape[1]) == found.frame) / spread
     if found.onset is not None:

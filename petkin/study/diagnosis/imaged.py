@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Noise, smallest_set
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, smallest_set
 from petkin.io import read_regions
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.spatial import Looked, Voxels, look, read_voxels
+from petkin.study.diagnosis.spatial import Looked, Picture, Voxels, look, read_picture
 from petkin.study.sources import Source
 
 #: From this log evidence on the image, not the regions, says how large an effect is and when it set in.
@@ -28,21 +28,32 @@ class Imaged:
         return {} if self.looked is None else self.looked.log_odds
 
 
-def look_at_image(
-    source: Source, simulator: RegionalSimulator, fit: Fit, noise: Noise, names: frozenset[str], *, seed: int
-) -> Imaged | None:
-    """The image's own evidence on spatial effects; None where regional curves are all there is.
+def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit) -> Picture | None:
+    """The image behind a scan's regional curves; None where those are all there is.
 
     Args:
         source: the scan.
         simulator: what predicts the means over the regions of its segmentation.
-        fit, noise: of the simulator to them.
-        names: of the candidates.
-        seed: of the draws of noise.
+        fit: of the simulator to them.
     """
     if source.image is None or source.dseg is None or source.curves is not None:
         return None
-    voxels = read_voxels(source.image, read_regions(source.dseg, source.image), simulator, fit, noise)
+    return read_picture(source.image, read_regions(source.dseg, source.image), simulator, fit)
+
+
+def look_at_image(
+    picture: Picture, simulator: RegionalSimulator, fit: Fit, names: frozenset[str], *, seed: int
+) -> Imaged:
+    """The image's own evidence on spatial effects.
+
+    Args:
+        picture: the image.
+        simulator: what predicts the means over its regions.
+        fit: of the simulator to them.
+        names: of the candidates.
+        seed: of the draws of noise.
+    """
+    voxels = Voxels.of(picture, simulator, fit)
     return Imaged(voxels, look(voxels, simulator, names, seed=seed))
 
 

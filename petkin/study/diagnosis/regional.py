@@ -58,6 +58,7 @@ class RegionalSimulator:
         nodes: times at which the input is read, min.
         measured: effects whose part of the record was measured with care.
         flatness: f of noise that scatters as counts to the power 1 - f.
+        grain: the noise by region and frame, relative to that of counts, where voxels show it (R, K).
     """
 
     channels: tuple[str, ...]
@@ -68,6 +69,7 @@ class RegionalSimulator:
     nodes: Array
     measured: frozenset[str] = frozenset()
     flatness: float = 0.0
+    grain: Array | None = None
     _seen: dict[Any, Tabulated] = field(default_factory=dict, init=False, repr=False, compare=False)
     _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -179,10 +181,11 @@ class RegionalSimulator:
         return replace(self, input=replace(self.input, plasma=other))
 
     def spread(self, values: Array) -> Array:
-        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; as flat as said."""
+        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; flat, grainy as said."""
         level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
         counted = np.sqrt(level / self.clock.mean_decay_times_duration)
-        return counted ** (1.0 - self.flatness) * np.median(counted, axis=1, keepdims=True) ** self.flatness
+        even = counted ** (1.0 - self.flatness) * np.median(counted, axis=1, keepdims=True) ** self.flatness
+        return even if self.grain is None else even * self.grain
 
     def flexible(self, shared: Array) -> Array:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""

@@ -5,23 +5,27 @@ zero, so that it knows nothing of the region's mean: the blurred image for the p
 for motion, the place along it for attenuation. Its nuisance is kinetics that vary within regions and, for what sets in
 during the scan, what was there before.
 
-    c_r(k) = sum_v w_v (x_v(k) - f_r(k)) / s_r(k),   sum_v w_v = 0,   sum_v w_v^2 = 1
+    c_r(k) = sum_v w_v x_v(k) / (g(k) s_r(k)),   sum_v w_v = 0,   sum_v w_v^2 = 1
+
+with g what all regions of a frame have in common. What moves or is tilted is the image as it is seen;
+only what it would be without blur is drawn from the labels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Contrasted, Fit, Noise, Pattern, judge_contrasts, of_nuisance
+from petkin.diagnosis import Contrasted, Family, Fit, Pattern, judge_contrasts, of_nuisance
 from petkin.effects.imaging import after
 from petkin.imaging import FrameSchedule, background_rim, blur
 from petkin.io import Regions, Series
 from petkin.study.diagnosis.regional import RegionalSimulator, onsets
+from petkin.study.diagnosis.voxel_noise import VoxelNoise, voxel_noise
 
 Array = NDArray[np.float64]
 
@@ -33,98 +37,173 @@ _BEYOND = 3.0
 _MOTION_MM, _GAIN = 10.0, 0.2
 #: Variance of the logarithm of kinetics within a region, times the voxels that vary together.
 _VARIED = 1.0
-#: What was there all the time may be so many times as large as the prior of what sets in.
-_BEFORE = 10.0
 #: Curves of the regions are mixtures of so many; rounds in which the sharp image is found.
 _RANK, _SHARPENED = 4, 4
+#: Voxels beside the labels that a slope needs.
+_BESIDE = 2
+#: A frame that holds less than this share of what is predicted is compared as it is.
+_FAINT = 0.3
+#: When a drift begins and ends, as shares of the scan.
+_DRIFTS = ((0.0, 1.0), (0.0, 1 / 3), (0.0, 2 / 3), (1 / 3, 2 / 3), (1 / 3, 1.0), (2 / 3, 1.0))
 _ONSETS, _DRAWS = 40, 400
 #: Evidence that contrasts hold against an effect counts no more than this: a head may move in ways that no axis shows.
 _AGAINST = -1.0
 
 
 @dataclass(frozen=True)
-class Voxels:
-    """The voxels of a segmentation, with what the simulator says of their regions.
+class Picture:
+    """An image with a segmentation, read once.
 
     Args:
-        curves: (K, N), kBq/mL.
+        curves: of the labelled voxels (K, N), kBq/mL.
         place: region of each (N,).
         inside: mask [x, y, z] of the voxels, in C order.
+        box: of the grid, around them and the voxels beside them.
         size: voxel edges, mm.
         outside: mean activity around the labels over that inside.
-        fit, noise: of the simulator to the regions' means.
-        sensitivity: derivatives of the weighted regional curves by their own parameters (R, K, P).
+        courses: orthonormal curves of which all others are mixtures (M, K).
+        seen: the image in the box as such mixtures [x, y, z, M].
+        grain: noise of the voxels, relative to that of counts.
     """
 
     curves: NDArray[np.float32]
     place: NDArray[np.intp]
     inside: NDArray[np.bool_]
+    box: tuple[slice, ...]
     size: tuple[float, ...]
     outside: float
-    fit: Fit
-    noise: Noise
-    sensitivity: Array
-
-    @cached_property
-    def residual(self) -> Array:
-        """(x - f) / s of every voxel (N, K)."""
-        spread = self.noise.spread
-        return (self.curves.T - self.fit.values[self.place]) / spread[self.place]
-
-    def sums(self, weights: Array) -> Array:
-        """Weighted sums of the residual over each region (R, K)."""
-        count = len(self.fit.values)
-        sums = [np.bincount(self.place, weights * row, count) for row in self.residual.T]
-        return np.stack(sums, axis=1).astype(np.float64)
-
-    def centred(self, weights: Array) -> Array:
-        """Weights less their mean over the region, of unit length in each."""
-        count = len(self.fit.values)
-        number = np.maximum(np.bincount(self.place, minlength=count), 1)
-        free = weights - (np.bincount(self.place, weights, count) / number)[self.place]
-        length = np.sqrt(np.bincount(self.place, free**2, count))
-        return free / np.where(length > 0, length, np.inf)[self.place]
-
-    def framed(self, weights: Array, maps: Array, courses: Array) -> Array:
-        """sum_v w_v m_v(k) / s_r(k) by region (R, K), of maps (N, M) that follow courses (M, K)."""
-        count = len(self.fit.values)
-        sums = np.stack([np.bincount(self.place, weights * column, count) for column in maps.T], axis=1)
-        return (sums @ courses) / self.noise.spread
+    courses: Array
+    seen: Array
+    grain: VoxelNoise
 
 
-def read_voxels(series: Series, regions: Regions, simulator: RegionalSimulator, fit: Fit, noise: Noise) -> Voxels:
-    """Voxels of a segmentation, reading the file once.
+def read_picture(series: Series, regions: Regions, simulator: RegionalSimulator, fit: Fit) -> Picture:
+    """The voxels of a segmentation and what surrounds them, reading the file once.
 
     Args:
         series: the image.
         regions: on its grid.
         simulator: what predicts the regions' means.
-        fit, noise: its fit to them.
+        fit: its fit to them.
     """
     inside = regions.labels > 0
     size = tuple(float(edge) for edge in series.voxel_mm)
     rim = background_rim(regions.labels, _BEYOND * _TYPICAL, size) & ~background_rim(regions.labels, _TYPICAL, size)
+    box, spread = _around(inside), simulator.spread(np.maximum(fit.values, 0.0))
+    courses = np.linalg.svd(fit.values, full_matrices=False)[2][:_RANK]
+    readers = _readers(courses, spread)
     curves = np.empty((series.count, int(inside.sum())), np.float32)
+    seen = np.zeros((*inside[box].shape, len(courses)))
     within = around = 0.0
-    for k, frame in enumerate(series.frames()):
-        curves[k] = np.nan_to_num(frame[inside], nan=0.0, posinf=0.0, neginf=0.0)
+    for k, raw in enumerate(series.frames()):
+        frame = np.nan_to_num(raw, nan=0.0, posinf=0.0, neginf=0.0)
+        curves[k] = frame[inside]
+        seen += frame[box][..., None] * readers[:, k]
         weight = float(simulator.clock.frames.duration[k])
         within += weight * float(curves[k].mean())
-        around += weight * float(np.nan_to_num(frame[rim]).mean()) if rim.any() else 0.0
-    own = len(simulator.own)
-    derivative = of_nuisance(simulator, fit.state, fit.values)
-    count = len(fit.values)
-    mine = np.stack([derivative[r * own : (r + 1) * own, r].T for r in range(count)])
-    return Voxels(
+        around += weight * float(frame[rim].mean()) if rim.any() else 0.0
+    place = np.searchsorted(np.array(regions.index), regions.labels[inside])
+    labels = np.zeros(inside[box].shape, np.intp)
+    labels[inside[box]] = place + 1
+    return Picture(
         curves=curves,
-        place=np.searchsorted(np.array(regions.index), regions.labels[inside]),
+        place=place,
         inside=inside,
+        box=box,
         size=size,
         outside=float(np.clip(around / within, 0.0, 1.0)) if within > 0 else 0.0,
-        fit=fit,
-        noise=noise,
-        sensitivity=mine / noise.spread[:, :, None],
+        courses=courses,
+        seen=seen,
+        grain=voxel_noise(curves.T.astype(np.float64), labels, spread, courses, np.array(size)),
     )
+
+
+def _around(inside: NDArray[np.bool_]) -> tuple[slice, ...]:
+    """The box that holds a mask and the voxels beside it, within the grid."""
+    places = [np.flatnonzero(inside.any(axis=tuple(a for a in range(3) if a != axis))) for axis in range(3)]
+    return tuple(slice(max(int(at[0]) - _BESIDE, 0), int(at[-1]) + _BESIDE + 1) for at in places)
+
+
+def _readers(courses: Array, spread: Array) -> Array:
+    """What a voxel's curve is multiplied by to give its mixture of courses, weighted by the noise (M, K)."""
+    usual = np.sqrt((spread**2).mean(axis=0))
+    return np.linalg.pinv((courses / usual).T) / usual
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """A picture with what the simulator says of its regions.
+
+    Args:
+        picture: with its voxels.
+        fit: of the simulator to the regions' means.
+        spread: of the noise, relative (R, K).
+        sensitivity: derivatives of the weighted regional curves by their own parameters (R, K, P).
+    """
+
+    picture: Picture
+    fit: Fit
+    spread: Array
+    sensitivity: Array
+
+    @classmethod
+    def of(cls, picture: Picture, simulator: RegionalSimulator, fit: Fit) -> Voxels:
+        """Beside a fit to the regions' means."""
+        own, alone = len(simulator.own), replace(simulator, grain=picture.grain.by_frame)
+        spread = alone.spread(np.maximum(fit.values, 0.0))
+        derivative = of_nuisance(simulator, fit.state, fit.values)
+        mine = np.stack([derivative[r * own : (r + 1) * own, r].T for r in range(len(fit.values))])
+        return cls(picture, fit, spread, mine / spread[:, :, None])
+
+    @property
+    def place(self) -> NDArray[np.intp]:
+        return self.picture.place
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        return self.picture.inside
+
+    @cached_property
+    def residual(self) -> Array:
+        """(x - f) / s of every voxel (N, K)."""
+        return (self.picture.curves.T - self.fit.values[self.place]) / self.spread[self.place]
+
+    def over_regions(self, columns: Array | NDArray[np.float32]) -> Array:
+        """Sums of columns (N, M) over each region (R, M)."""
+        count = len(self.fit.values)
+        return np.stack([np.bincount(self.place, column, count) for column in columns.T], axis=1).astype(np.float64)
+
+    @cached_property
+    def _common(self) -> Array:
+        """Factor of a whole frame (K,): what all regions have in common, and no contrast should see."""
+        weight = np.bincount(self.place, minlength=len(self.fit.values))[:, None] * self.fit.values / self.spread**2
+        found = (weight * self._means).sum(axis=0) / np.maximum((weight * self.fit.values).sum(axis=0), 1e-300)
+        return np.where(found > _FAINT, found, 1.0)
+
+    @cached_property
+    def _means(self) -> Array:
+        """Means of the regions (R, K)."""
+        number = np.bincount(self.place, minlength=len(self.fit.values))
+        return self.over_regions(self.picture.curves.T) / np.maximum(number, 1)[:, None]
+
+    def sums(self, weights: Array) -> Array:
+        """Weighted sums over each region (R, K), of weights that sum to zero there."""
+        return self.over_regions(weights[:, None] * self.picture.curves.T) / (self._common * self.spread)
+
+    def centred(self, weights: Array) -> Array:
+        """Weights less their mean over the region, of unit length in each."""
+        free = self.apart(weights[:, None])[:, 0]
+        length = np.sqrt(self.over_regions(free[:, None] ** 2)[:, 0])
+        return free / np.where(length > 0, length, np.inf)[self.place]
+
+    def apart(self, columns: Array) -> Array:
+        """Columns (N, M) less their means over the region."""
+        number = np.maximum(np.bincount(self.place, minlength=len(self.fit.values)), 1)
+        return columns - (self.over_regions(columns) / number[:, None])[self.place]
+
+    def framed(self, weights: Array, maps: Array, courses: Array) -> Array:
+        """sum_v w_v m_v(k) / s_r(k) by region (R, K), of maps (N, M) that follow courses (M, K)."""
+        return (self.over_regions(weights[:, None] * maps) @ courses) / self.spread
 
 
 @dataclass(frozen=True)
@@ -149,17 +228,17 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         names: of the candidates.
         seed: of the draws of noise.
     """
-    scene = _Scene.of(voxels)
-    families, patterns = scene.blurred()
-    width = scene.width(families["blur"][0], patterns)
+    predicted, scene = _Predicted.of(voxels), _Scene(voxels)
+    families, patterns = predicted.blurred()
+    width = predicted.width(families["blur"].rows, patterns)
     for axis in scene.axes:
-        for more_families, more in (scene.moving(axis, width, simulator), scene.tilted(axis, simulator)):
+        for more_families, more in (scene.moving(axis, simulator), scene.tilted(axis, simulator)):
             families |= more_families
             patterns += more
     patterns = [pattern for pattern in patterns if pattern.name in names]
     if not patterns:
         return None
-    least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.noise.spread)) + 1e-300
+    least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
     rng = np.random.default_rng((seed, len(patterns)))
     return Looked(judge_contrasts(families, patterns, least=least, draws=_DRAWS, rng=rng), width)
 
@@ -168,68 +247,61 @@ def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
     return np.asarray(blur(maps, width, size), np.float64)
 
 
-_Found = tuple[dict[str, tuple[Array, Array]], list[Pattern]]
+_Found = tuple[dict[str, Family], list[Pattern]]
+
+
+def _family(voxels: Voxels, weights: Array, nuisance: Array) -> Family:
+    return Family(voxels.sums(weights), nuisance, voxels.picture.grain.sizes(weights))
+
+
+def _varied(voxels: Voxels) -> Array:
+    """Columns of kinetics that vary within regions (R, K, P)."""
+    return np.sqrt(_VARIED) * voxels.sensitivity
 
 
 @dataclass(frozen=True)
-class _Scene:
+class _Predicted:
     """The predicted image: maps [x, y, z, M] that follow courses (M, K), each region at its predicted curve."""
 
     voxels: Voxels
     maps: Array
-    courses: Array
 
     @classmethod
-    def of(cls, voxels: Voxels) -> _Scene:
-        left, size, courses = np.linalg.svd(voxels.fit.values, full_matrices=False)
-        rank = min(_RANK, size.size)
-        levels = left[:, :rank] * size[:rank]
-        maps = np.empty((*voxels.inside.shape, rank))
-        maps[...] = voxels.outside * levels[voxels.place].mean(axis=0)
-        maps[voxels.inside] = levels[voxels.place]
-        return cls(voxels, maps, courses[:rank])
-
-    @property
-    def axes(self) -> Iterator[int]:
-        return (axis for axis, size in enumerate(self.voxels.inside.shape) if size > 1)
-
-    @property
-    def _varied(self) -> Array:
-        """Columns of kinetics that vary within regions (R, K, P)."""
-        return np.sqrt(_VARIED) * self.voxels.sensitivity
+    def of(cls, voxels: Voxels) -> _Predicted:
+        picture = voxels.picture
+        levels = voxels.fit.values @ picture.courses.T
+        maps = np.empty((*picture.inside.shape, levels.shape[1]))
+        maps[...] = picture.outside * levels[picture.place].mean(axis=0)
+        maps[picture.inside] = levels[picture.place]
+        return cls(voxels, maps)
 
     def _seen(self, width: float) -> Array:
         """The image through a point spread, as sharp before it as its regions' means demand (x, y, z, M).
 
         Reference: van Cittert PH. Z Phys 1931;69:298-308 (repeated re-blurring).
         """
-        inside, wanted = self.voxels.inside, self._means(self.maps)
+        inside, wanted, size = self.voxels.inside, self._means(self.maps), self.voxels.picture.size
         sharp = self.maps.copy()
         for _ in range(_SHARPENED):
-            short = wanted - self._means(_through(sharp, width, self.voxels.size))
+            short = wanted - self._means(_through(sharp, width, size))
             sharp[inside] += short[self.voxels.place]
-        return _through(sharp, width, self.voxels.size)
+        return _through(sharp, width, size)
 
     def _means(self, maps: Array) -> Array:
         """Means over the regions (R, M)."""
-        place, columns = self.voxels.place, maps[self.voxels.inside].T
-        number = np.maximum(np.bincount(place), 1)
-        return np.stack([np.bincount(place, column) / number for column in columns], axis=1)
-
-    def _mean(self, maps: Array) -> Array:
-        """Their mean over the frames (N,)."""
-        return maps @ self.courses.mean(axis=1)
+        number = np.maximum(np.bincount(self.voxels.place), 1)
+        return self.voxels.over_regions(maps[self.voxels.inside]) / number[:, None]
 
     def blurred(self) -> _Found:
         """One contrast for the point spread, with a pattern a width."""
-        inside = self.voxels.inside
-        weights = self.voxels.centred(self._mean(self._seen(_TYPICAL)[inside]))
-        rows = [self.voxels.framed(weights, self._seen(width)[inside], self.courses) for width in _WIDTHS]
+        voxels, courses = self.voxels, self.voxels.picture.courses
+        weights = voxels.centred(self._seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
+        rows = [voxels.framed(weights, self._seen(width)[voxels.inside], courses) for width in _WIDTHS]
         patterns = [
             Pattern("partial_volume", "blur", row, {}, scale=width, signed=False)
             for width, row in zip(_WIDTHS, rows, strict=True)
         ]
-        return {"blur": (self.voxels.sums(weights), self._varied)}, patterns
+        return {"blur": _family(voxels, weights, _varied(voxels))}, patterns
 
     def width(self, contrast: Array, patterns: list[Pattern]) -> float:
         """The FWHM at which the predicted contrast is as large as the image's, mm."""
@@ -237,33 +309,76 @@ class _Scene:
         sizes = np.maximum.accumulate([0.0, *(float((typical * p.rows).sum()) for p in patterns)])
         return float(np.interp(float((typical * contrast).sum()), sizes, [0.0, *_WIDTHS]))
 
-    def moving(self, axis: int, width: float, simulator: RegionalSimulator) -> _Found:
+
+@dataclass(frozen=True)
+class _Scene:
+    """The image as it is seen, and what sets in during the scan and changes it."""
+
+    voxels: Voxels
+
+    @property
+    def axes(self) -> Iterator[int]:
+        return (axis for axis, size in enumerate(self.voxels.inside.shape) if size > 1)
+
+    @property
+    def _labelled(self) -> NDArray[np.bool_]:
+        return self.voxels.inside[self.voxels.picture.box]
+
+    def _mean(self, maps: Array) -> Array:
+        """Their sum over the frames in units of the noise (...)."""
+        usual = np.sqrt((self.voxels.spread**2).mean(axis=0))
+        return maps @ (self.voxels.picture.courses / usual).sum(axis=1)
+
+    def moving(self, axis: int, simulator: RegionalSimulator) -> _Found:
         """Motion along an axis, mm: a step, or a drift."""
-        seen = self._seen(max(width, self.voxels.size[axis]))
-        slope = np.gradient(seen, self.voxels.size[axis], axis=axis)[self.voxels.inside]
-        family = f"motion {axis}"
-        return self._setting_in(family, ("motion_step", "motion_drift"), axis, slope, _MOTION_MM, simulator)
+        seen = self.voxels.picture.seen
+        slope = _slope(seen, self.voxels.picture.size[axis], axis)[self._labelled]
+        return self._setting_in(f"motion {axis}", ("motion_step", "motion_drift"), axis, slope, _MOTION_MM, simulator)
 
     def tilted(self, axis: int, simulator: RegionalSimulator) -> _Found:
         """A gain that grows along an axis, by so much from the middle to the edge of the head."""
         place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)
         place = 2.0 * (place - place.mean()) / max(float(np.ptp(place)), 1.0)
-        gained = place[:, None] * self.maps[self.voxels.inside]
+        gained = place[:, None] * self.voxels.picture.seen[self._labelled]
         return self._setting_in(f"gain {axis}", ("attenuation_mismatch",), axis, gained, _GAIN, simulator)
 
     def _setting_in(
         self, family: str, names: tuple[str, ...], axis: int, maps: Array, width: float, simulator: RegionalSimulator
     ) -> _Found:
-        weights = self.voxels.centred(self._mean(maps))
-        always = self.voxels.framed(weights, maps, self.courses)
-        frames = simulator.clock.frames
+        voxels, courses = self.voxels, self.voxels.picture.courses
+        weights = voxels.centred(self._mean(maps))
+        always = voxels.framed(weights, maps, courses)
         patterns = []
         for name in names:
-            for setting, course in _courses(name, frames, simulator):
+            for setting, course in _courses(name, simulator.clock.frames, simulator):
                 place = {"axis": float(axis), **setting}
                 patterns.append(Pattern(name, family, always * course, place, width=width))
-        nuisance = np.concatenate([self._varied, (_BEFORE * width * always)[:, :, None]], axis=2)
-        return {family: (self.voxels.sums(weights), nuisance)}, patterns
+        nuisance = np.concatenate([_varied(voxels), self._there(weights)], axis=2)
+        return {family: _family(voxels, weights, nuisance)}, patterns
+
+    def _there(self, weights: Array) -> Array:
+        """Columns of what a contrast may hold of an image that stays as it is (R, K, M).
+
+        Where edges run within voxels no label tells, so that it may be any mixture of the regions' curves, as large as
+        what the image shows.
+        """
+        voxels, courses = self.voxels, self.voxels.picture.courses
+        held = voxels.over_regions(weights[:, None] * voxels.picture.seen[self._labelled])
+        levels = voxels.fit.values @ courses.T
+        usual = np.sqrt((levels**2).mean(axis=0))
+        most = np.linalg.norm(held, axis=1) / np.linalg.norm(usual)
+        return most[:, None, None] * (usual[:, None] * courses).T / voxels.spread[:, :, None]
+
+
+def _slope(maps: Array, edge: float, axis: int) -> Array:
+    """Derivative of maps [x, y, z, M] along an axis, 1/mm, as sharp as two neighbours to either side tell it.
+
+    x' = (8 (x_1 - x_-1) - (x_2 - x_-2)) / 12,   beyond the grid as at its end
+    """
+    pad = [(_BESIDE, _BESIDE) if a == axis else (0, 0) for a in range(maps.ndim)]
+    x = np.moveaxis(np.pad(maps, pad, mode="edge"), axis, 0)
+    slope = (8.0 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) / (12.0 * edge)
+    return np.moveaxis(slope, 0, axis)
 
 
 def _courses(
@@ -271,7 +386,9 @@ def _courses(
 ) -> Iterator[tuple[dict[str, float], Array]]:
     """Settings and courses over the frames of what sets in during the scan."""
     if name == "motion_drift":
-        yield {}, frames.mid / frames.end[-1]
+        passed = frames.mid / frames.end[-1]
+        for begins, ends in _DRIFTS:
+            yield {}, np.clip((passed - begins) / (ends - begins), 0.0, 1.0)
         return
     for onset in onsets(simulator.clock, _ONSETS):
         yield {"onset": onset}, after(simulator.clock, onset)

@@ -232,16 +232,18 @@ def _at_strength(make: Callable[[float], _Made], most: float, target: float) -> 
 
 
 def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | None = None) -> _Made:
-    """The picture with a cause, and what is left of it once the simulator's kinetics and delay are refitted."""
+    """The picture with a cause, and what is left of it once the simulator's kinetics and delay are refitted.
+
+    How kinetics vary within regions nobody knows: it is noise of the picture, and no part of what the cause changes.
+    """
     scanned = scene.scanned
     shot = cause.build(size, place) if shot is None else shot
     image = taken(scanned, shot)
     fitted = _fitted(scene, shot)
     here = replace(scanned, subject=fitted)
-    curves, derivatives = pieces(fitted, Change())
-    plain, count = taken(here), len(NAMES)
-    filtered = matched(here, curves[:count], derivatives[:count], scene.grain(image), _refitted(here, plain))
-    change = image - plain
+    plain = taken(here, varied=False)
+    filtered = matched(here, *pieces(fitted, Change()), scene.grain(image), _refitted(here, plain))
+    change = taken(scanned, shot, varied=False) - plain
     reached = filtered.detectability(change)
     return _Made(cause, place, size, scene, image, filtered, fitted, filtered.left(change), reached)
 
@@ -261,10 +263,10 @@ def _fitted(scene: _Scene, shot: Shot) -> Subject:
 def _refitted(scanned: Scanned, plain: Array) -> list[Array]:
     """What else is refitted: delay, and the width of a point spread that the simulator has."""
     late = replace(scanned, subject=replace(scanned.subject, delay=scanned.subject.delay + 0.01))
-    found = [taken(late) - plain]
+    found = [taken(late, varied=False) - plain]
     if scanned.width > 0:
-        found.append(taken(replace(scanned, width=scanned.width + 0.3)) - plain)
-        found.append(taken(replace(scanned, width=0.0)) - plain)
+        found.append(taken(replace(scanned, width=scanned.width + 0.3), varied=False) - plain)
+        found.append(taken(replace(scanned, width=0.0), varied=False) - plain)
     return found
 
 
@@ -293,7 +295,7 @@ def _withheld_part(scene: _Scene) -> _Made:
 def _columns(made: _Made) -> list[tuple[str, Array]]:
     """What the refit leaves of every catalogued effect at a weak size, along all axes and in all regions."""
     scanned = replace(made.scene.scanned, subject=made.fitted)
-    plain, found = taken(scanned), []
+    plain, found = taken(scanned, varied=False), []
     for cause in KNOWN:
         if not _possible(cause, made.scene):
             continue

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from petkin_bench.withheld import causes as regional
 from petkin_bench.withheld.changes import Draw, hot, later, passed
 from petkin_bench.withheld.images.head import GRID, NAMES, VOXEL, Head, Pose
-from petkin_bench.withheld.images.taking import Shot
+from petkin_bench.withheld.images.taking import STEP_MM, Shot
 from petkin_bench.withheld.subject import Frames
 
 Array = NDArray[np.float64]
@@ -75,11 +75,19 @@ def _moved(size: float, place: Place) -> Pose:
     return Pose((x, y, z))
 
 
+def _on_the_way(pose: Callable[[float, Place], Pose], place: Place, at: Array) -> tuple[tuple[Array, Pose], ...]:
+    """Poses with their share of every frame, of a head that has moved so far (K,): steps at which no edge jumps."""
+    nodes = STEP_MM * np.arange(int(np.ceil(at.max() / STEP_MM - 1e-9)) + 1)
+    hats = [np.interp(at, nodes, row) for row in np.eye(nodes.size)]
+    return tuple((hat, pose(float(node), place) if node else Pose()) for hat, node in zip(hats, nodes, strict=True))
+
+
 def _step(pose: Callable[[float, Place], Pose]) -> Build:
     def build(size: float, place: Place) -> Shot:
         def poses(f: Frames) -> tuple[tuple[Array, Pose], ...]:
             after = later(f, place.drawn.onset)
-            return (1.0 - after, Pose()), (after, pose(size, place))
+            there = _on_the_way(pose, place, np.full(1, size))
+            return (1.0 - after, Pose()), *((after * float(share[0]), each) for share, each in there)
 
         return Shot(poses=poses)
 
@@ -88,14 +96,7 @@ def _step(pose: Callable[[float, Place], Pose]) -> Build:
 
 def _drift(course: Callable[[Array], Array]) -> Build:
     def build(size: float, place: Place) -> Shot:
-        nodes = np.linspace(0.0, 1.0, 4)
-
-        def poses(f: Frames) -> tuple[tuple[Array, Pose], ...]:
-            at = course(passed(f))
-            hats = [np.interp(at, nodes, row) for row in np.eye(nodes.size)]
-            return tuple((hat, _moved(size * node, place)) for hat, node in zip(hats, nodes))
-
-        return Shot(poses=poses)
+        return Shot(poses=lambda f: _on_the_way(_moved, place, size * course(passed(f))))
 
     return build
 

@@ -20,8 +20,10 @@ FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))
 #: Activity of the scalp, as a share of what its kinetics would give.
 _SCALP = 0.35
 _QUOTIENT = 1e-4
-#: Points along the edge of a voxel where there is a point spread; a picture without one has sharp labels.
+#: Points along the edge of a voxel where there is a point spread; a picture without one has sharp labels. By one step
+#: from point to point an edge moves without a jump; between such steps poses are mixed.
 _FINE = 3
+STEP_MM = VOXEL / _FINE
 #: Noise that neighbours share: its width, mm, and its share of the variance.
 SHARED_MM, SHARED = 8.0, 0.5
 #: A voxel scatters as the root of its mean value, but as no less than this share of the head's.
@@ -61,9 +63,10 @@ class Scanned:
     width: float
 
 
-def taken(scanned: Scanned, shot: Shot = AS_ALWAYS) -> Array:
-    """The picture without noise [x, y, z, K]."""
+def taken(scanned: Scanned, shot: Shot = AS_ALWAYS, *, varied: bool = True) -> Array:
+    """The picture without noise [x, y, z, K], with kinetics that vary within regions or without."""
     curves, derivatives = pieces(scanned.subject, shot.change)
+    derivatives = derivatives if varied else 0.0 * derivatives
     frames, fine = scanned.subject.frames, _FINE if scanned.width else 1
     poses = ((np.ones(len(frames.start)), REST),) if shot.poses is None else shot.poses(frames)
     image = np.zeros((GRID, GRID, GRID, len(frames.start)))
@@ -77,9 +80,9 @@ def taken(scanned: Scanned, shot: Shot = AS_ALWAYS) -> Array:
 
 
 def retaken(scanned: Scanned, shot: Shot, plain: Array) -> Array:
-    """As `taken`, from the picture without the cause where that is all that it changes."""
+    """As `taken` without variation, from the picture without the cause where that is all that it changes."""
     if shot.camera is None or shot.change is not AS_ALWAYS.change:
-        return taken(scanned, shot)
+        return taken(scanned, shot, varied=False)
     return shot.camera(plain, scanned.subject.frames)
 
 

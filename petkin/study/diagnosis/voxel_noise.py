@@ -1,0 +1,110 @@
+"""Noise of an image: how it changes over the frames, and how far neighbouring voxels share it.
+
+A region has few frames but many voxels, so that what its own curve tells of noise only roughly its voxels tell well:
+
+    r_v(k) = (x_v(k) - what mixtures of a few courses make of it) / s_r(k) = h(k) e_v(k),
+    cov(e_v, e_u) = C(v - u)
+
+h is the median size of the frame's residuals, C the mean of products of all pairs of voxels at one distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects
+
+from petkin.diagnosis import second_differences
+
+Array = NDArray[np.float64]
+
+#: Neighbours share noise over no more than this, mm.
+_FURTHEST_MM = 25.0
+#: No more than this share of a frame counts as taken by the courses; no frame or region is quieter than that share.
+_TAKEN, _QUIET = 0.8, 0.05
+
+
+@dataclass(frozen=True)
+class VoxelNoise:
+    """Noise of the voxels of a segmentation, in units of their region's spread.
+
+    Args:
+        by_frame: h (K,), 1 in the median.
+        shared: C, sampled at whole voxels (lags), the middle at no distance.
+        labels: region of every voxel in a box around them, from 1, 0 outside.
+    """
+
+    by_frame: Array
+    shared: Array
+    labels: NDArray[np.intp]
+
+    def sizes(self, weights: Array) -> Array:
+        """Standard deviation of sum_v w_v e_v over each region (R,), of weights of the labelled voxels (N,)."""
+        grid = np.zeros(self.labels.shape)
+        grid[self.labels > 0] = weights
+        boxes = find_objects(self.labels)
+        found = [self._variance(np.where(self.labels[box] == r + 1, grid[box], 0.0)) for r, box in enumerate(boxes)]
+        return np.sqrt(np.maximum(found, 0.0))
+
+    def of_means(self) -> Array:
+        """Relative standard deviation of the mean over each region (R, K), of what its voxels do not share with all."""
+        place = self.labels[self.labels > 0] - 1
+        return _relative(self.sizes(1.0 / np.bincount(place)[place]), np.max)[:, None] * self.by_frame
+
+    def _variance(self, weights: Array) -> float:
+        """sum_d C(d) sum_v w_v w_(v + d)."""
+        return float((self.shared * _products(weights, self.shared.shape)).sum())
+
+
+def voxel_noise(curves: Array, labels: NDArray[np.intp], spread: Array, courses: Array, size: Array) -> VoxelNoise:
+    """Noise by frame and distance.
+
+    Args:
+        curves: of the labelled voxels (N, K), in C order.
+        labels: region of every voxel in a box, from 1, 0 outside [x, y, z].
+        spread: s of every region (R, K).
+        courses: what regions' curves are mixtures of (M, K).
+        size: voxel edges, mm (3,).
+    """
+    place = labels[labels > 0] - 1
+    left = np.empty_like(curves)
+    taken = np.zeros(curves.shape)
+    for r, s in enumerate(spread):
+        mine = place == r
+        axes = np.linalg.qr((courses / s).T)[0]
+        scaled = curves[mine] / s
+        beyond = scaled - (scaled @ axes) @ axes.T
+        left[mine] = beyond - beyond.mean(axis=0)
+        taken[mine] = np.minimum((axes**2).sum(axis=1), _TAKEN)
+    left /= np.sqrt(1.0 - taken)
+    by_frame = _relative(np.median(np.abs(left), axis=0), np.median)
+    return VoxelNoise(by_frame, _shared(second_differences(left / by_frame), labels, size), labels)
+
+
+def _relative(sizes: Array, usual: Callable[[Array], float]) -> Array:
+    """Sizes over the usual one, none of them next to nothing; ones where there is no noise."""
+    level = float(usual(sizes))
+    return np.maximum(sizes / level, _QUIET) if level > 0 else np.ones_like(sizes)
+
+
+def _shared(noise: Array, labels: NDArray[np.intp], size: Array) -> Array:
+    """C of noise (N, K), on whole voxels."""
+    inside = labels > 0
+    lags = tuple(2 * min(int(_FURTHEST_MM / edge), n - 1) + 1 for edge, n in zip(size, labels.shape, strict=True))
+    total, grid = np.zeros(lags), np.zeros(labels.shape)
+    for frame in noise.T:
+        grid[inside] = frame
+        total += _products(grid, lags)
+    pairs = noise.shape[1] * _products(inside.astype(np.float64), lags)
+    return np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0)
+
+
+def _products(grid: Array, lags: tuple[int, ...]) -> Array:
+    """sum_v g_v g_(v + d) for every distance d of so many lags, the middle at none."""
+    shape = [max(n + lag // 2, lag) for n, lag in zip(grid.shape, lags, strict=True)]
+    spectrum = np.fft.fftn(grid, shape, axes=(0, 1, 2))
+    found = np.fft.fftshift(np.fft.ifftn(np.abs(spectrum) ** 2, axes=(0, 1, 2)).real)
+    return found[tuple(slice(n // 2 - lag // 2, n // 2 + lag // 2 + 1) for n, lag in zip(shape, lags, strict=True))]

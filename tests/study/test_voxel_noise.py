@@ -1,0 +1,61 @@
+"""What voxels tell of noise: how it changes over the frames, and how far neighbours share it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from petkin.study.diagnosis.voxel_noise import VoxelNoise, voxel_noise
+
+EDGE, FRAMES = 18, 16
+LABELS = np.zeros((EDGE, EDGE, EDGE), np.intp)
+LABELS[2:16, 2:10, 2:16] = 1
+LABELS[7:11, 11:15, 7:11] = 2
+#: One frame in which everything scatters three times as much.
+UNSTEADY = np.where(np.arange(FRAMES) == 9, 3.0, 1.0)
+COURSES = np.stack([np.exp(-np.arange(FRAMES) / tau) for tau in (3.0, 20.0)])
+
+
+def shared_noise(rng: np.random.Generator) -> NDArray[np.float64]:
+    """Half of the variance is common to neighbours, by frame (K, x, y, z)."""
+    sigma = 1.2
+    smooth = np.stack([gaussian_filter(rng.standard_normal(LABELS.shape), sigma, mode="wrap") for _ in range(FRAMES)])
+    smooth /= (2.0 * np.sqrt(np.pi) * sigma) ** -1.5
+    white = rng.standard_normal(smooth.shape)
+    return UNSTEADY[:, None, None, None] * np.sqrt(0.5) * (white + smooth)
+
+
+def of_noise(seed: int) -> VoxelNoise:
+    rng = np.random.default_rng(seed)
+    inside = LABELS > 0
+    levels = np.array([20.0, 30.0])[LABELS[inside] - 1, None] * (1.0 + 0.1 * rng.standard_normal((inside.sum(), 2)))
+    curves = levels @ COURSES + shared_noise(rng)[:, inside].T
+    return voxel_noise(curves, LABELS, np.ones((2, FRAMES)), COURSES, np.full(3, 5.0))
+
+
+def test_a_noisy_frame_shows_in_the_voxels() -> None:
+    found = of_noise(0).by_frame
+    np.testing.assert_allclose(found[2:], UNSTEADY[2:], rtol=0.15)
+
+
+def test_sums_scatter_as_neighbours_share_noise() -> None:
+    """Means of a large and of a small region, and a weighting that grows across them."""
+    found, inside = of_noise(1), LABELS > 0
+    rng = np.random.default_rng(2)
+    drawn = np.concatenate([(shared_noise(rng) / UNSTEADY[:, None, None, None])[:, inside] for _ in range(40)])
+    along = np.nonzero(inside)[2].astype(np.float64)
+    place = LABELS[inside] - 1
+    for weights in (np.ones(place.size), along - along.mean()):
+        true = [(drawn[:, place == r] @ weights[place == r]).std() for r in (0, 1)]
+        np.testing.assert_allclose(found.sizes(weights), true, rtol=0.25)
+    large, small = found.of_means()[:, 0]
+    assert small > 2.5 * large
+
+
+def test_an_image_without_noise_has_even_noise() -> None:
+    inside = LABELS > 0
+    curves = np.ones((int(inside.sum()), FRAMES)) * np.array([20.0, 30.0])[LABELS[inside] - 1, None]
+    found = voxel_noise(curves, LABELS, np.ones((2, FRAMES)), np.ones((1, FRAMES)) / np.sqrt(FRAMES), np.full(3, 5.0))
+    assert np.isfinite(found.of_means()).all()
+    assert (found.of_means() > 0).all()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import Diagnosis, second_differences
 from petkin.effects.imaging import after
 from petkin.imaging import FrameObservation
-from petkin.study.diagnosis.spatial import Voxels
+from petkin.study.diagnosis.picture import Voxels
 
 Array = NDArray[np.float64]
 

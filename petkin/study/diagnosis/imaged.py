@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, smallest_set
 from petkin.io import read_regions
+from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.spatial import Looked, Picture, Voxels, look, read_picture
+from petkin.study.diagnosis.spatial import Looked, look
 from petkin.study.sources import Source
 
 #: From this log evidence on the image, not the regions, says how large an effect is and when it set in.

@@ -25,6 +25,10 @@ Array = NDArray[np.float64]
 _FURTHEST_MM = 25.0
 #: No more than this share of a frame counts as taken by the courses; no frame or region is quieter than that share.
 _TAKEN, _QUIET = 0.8, 0.05
+#: Frames that tell how far voxels share noise: each has all pairs of neighbours.
+_ENOUGH = 12
+#: Edges of a grid whose transform is quick are multiples of this.
+_EASY = 8
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,9 @@ class VoxelNoise:
         return float((self.shared * _products(weights, self.shared.shape)).sum())
 
 
-def voxel_noise(curves: Array, labels: NDArray[np.intp], spread: Array, courses: Array, size: Array) -> VoxelNoise:
+def voxel_noise(
+    curves: NDArray[np.floating], labels: NDArray[np.intp], spread: Array, courses: Array, size: Array
+) -> VoxelNoise:
     """Noise by frame and distance.
 
     Args:
@@ -70,18 +76,18 @@ def voxel_noise(curves: Array, labels: NDArray[np.intp], spread: Array, courses:
         size: voxel edges, mm (3,).
     """
     place = labels[labels > 0] - 1
-    left = np.empty_like(curves)
-    taken = np.zeros(curves.shape)
+    left = np.empty(curves.shape, np.float32)
     for r, s in enumerate(spread):
         mine = place == r
-        axes = np.linalg.qr((courses / s).T)[0]
-        scaled = curves[mine] / s
-        beyond = scaled - (scaled @ axes) @ axes.T
-        left[mine] = beyond - beyond.mean(axis=0)
-        taken[mine] = np.minimum((axes**2).sum(axis=1), _TAKEN)
-    left /= np.sqrt(1.0 - taken)
-    by_frame = _relative(np.median(np.abs(left), axis=0), np.median)
-    return VoxelNoise(by_frame, _shared(second_differences(left / by_frame), labels, size), labels)
+        axes = np.linalg.qr((courses / s).T)[0].astype(np.float32)
+        scaled = (curves[mine] / s).astype(np.float32)
+        scaled -= (scaled @ axes) @ axes.T
+        taken = np.minimum((axes**2).sum(axis=1), _TAKEN)
+        left[mine] = (scaled - scaled.mean(axis=0)) / np.sqrt(1.0 - taken)
+    by_frame = _relative(np.median(np.abs(left), axis=0).astype(np.float64), np.median)
+    left /= by_frame.astype(np.float32)
+    bends: NDArray[np.floating] = second_differences(left)  # type: ignore[arg-type]
+    return VoxelNoise(by_frame, _shared(bends, labels, size), labels)
 
 
 def _relative(sizes: Array, usual: Callable[[Array], float]) -> Array:
@@ -90,21 +96,23 @@ def _relative(sizes: Array, usual: Callable[[Array], float]) -> Array:
     return np.maximum(sizes / level, _QUIET) if level > 0 else np.ones_like(sizes)
 
 
-def _shared(noise: Array, labels: NDArray[np.intp], size: Array) -> Array:
+def _shared(noise: NDArray[np.floating], labels: NDArray[np.intp], size: Array) -> Array:
     """C of noise (N, K), on whole voxels."""
     inside = labels > 0
     lags = tuple(2 * min(int(_FURTHEST_MM / edge), n - 1) + 1 for edge, n in zip(size, labels.shape, strict=True))
-    total, grid = np.zeros(lags), np.zeros(labels.shape)
-    for frame in noise.T:
-        grid[inside] = frame
+    frames = np.unique(np.linspace(0, noise.shape[1] - 1, _ENOUGH).round().astype(int))
+    total, grid = np.zeros(lags), np.zeros(labels.shape, np.float32)
+    for k in frames:
+        grid[inside] = noise[:, k]
         total += _products(grid, lags)
-    pairs = noise.shape[1] * _products(inside.astype(np.float64), lags)
+    pairs = len(frames) * _products(inside.astype(np.float64), lags)
     return np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0)
 
 
-def _products(grid: Array, lags: tuple[int, ...]) -> Array:
+def _products(grid: NDArray[np.floating], lags: tuple[int, ...]) -> Array:
     """sum_v g_v g_(v + d) for every distance d of so many lags, the middle at none."""
-    shape = [max(n + lag // 2, lag) for n, lag in zip(grid.shape, lags, strict=True)]
-    spectrum = np.fft.fftn(grid, shape, axes=(0, 1, 2))
-    found = np.fft.fftshift(np.fft.ifftn(np.abs(spectrum) ** 2, axes=(0, 1, 2)).real)
+    shape = [-(-max(n + lag // 2, lag) // _EASY) * _EASY for n, lag in zip(grid.shape, lags, strict=True)]
+    axes = (0, 1, 2)
+    spectrum = np.abs(np.fft.rfftn(grid, shape, axes)) ** 2
+    found = np.fft.fftshift(np.fft.irfftn(spectrum, shape, axes))
     return found[tuple(slice(n // 2 - lag // 2, n // 2 + lag // 2 + 1) for n, lag in zip(shape, lags, strict=True))]

@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
+from petkin.diagnosis import Contrasted
 from petkin.study.diagnose import Diagnosed, diagnose_study
 from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.spatial import Looked
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
 
@@ -102,3 +104,13 @@ def test_an_image_in_order_has_no_gap_and_a_map_of_noise(tmp_path: Path) -> None
     assert one.answer["verdict"]["kind"] == "none"
     z = np.asarray(nib.load(next(one.report.parent.glob("*_desc-gapz_mimap.nii.gz"))).dataobj)
     assert np.nanstd(z) == pytest.approx(1.0, abs=0.15)
+
+
+def test_silence_of_the_image_counts_only_as_far_as_the_effect_would_show() -> None:
+    """A gain in one region alone tilts nothing; every blur shows. Strong evidence is lent nearly whole."""
+    names = ("attenuation_mismatch", "motion_step", "partial_volume")
+    silent = Looked(Contrasted(dict.fromkeys(names, -9.0), {}, 0.5), 0.0).log_odds
+    assert silent["attenuation_mismatch"] > silent["motion_step"] > silent["partial_volume"]
+    assert silent["attenuation_mismatch"] == pytest.approx(np.log(0.5), abs=1e-3)
+    loud = Looked(Contrasted(dict.fromkeys(names, 40.0), {}, 0.5), 0.0).log_odds
+    assert min(loud.values()) > 39.0

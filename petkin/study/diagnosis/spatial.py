@@ -38,8 +38,8 @@ _SHARPENED = 4
 #: When a drift begins and ends, as shares of the scan.
 _DRIFTS = ((0.0, 1.0), (0.0, 1 / 3), (0.0, 2 / 3), (1 / 3, 2 / 3), (1 / 3, 1.0), (2 / 3, 1.0))
 _ONSETS, _DRAWS = 40, 400
-#: Evidence that contrasts hold against an effect counts no more than this: a head may move in ways that no axis shows.
-_AGAINST = -1.0
+#: How often contrasts show nothing of an effect that is there: a head turns, a gain is in one region alone.
+_UNSEEN = {"partial_volume": 0.05, "motion_step": 0.2, "motion_drift": 0.2, "attenuation_mismatch": 0.5}
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,9 @@ class Looked:
 
     @property
     def log_odds(self) -> dict[str, float]:
-        """What the image lends its effects, by name."""
-        return {name: max(value, _AGAINST) for name, value in self.contrasted.evidence.items()}
+        """What the image lends its effects, by name: their evidence, as often as they show."""
+        found = self.contrasted.evidence
+        return {n: float(np.logaddexp(np.log(_UNSEEN[n]), np.log1p(-_UNSEEN[n]) + e)) for n, e in found.items()}
 
 
 def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *, seed: int) -> Looked | None:

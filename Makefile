@@ -22,8 +22,9 @@ demo: install
 	rm -rf petkin-demo
 	$(BIN)/petkin demo --out petkin-demo
 
+# Two workers share the cores; libraries that take all of them for each would wait for one another.
 test: install
-	$(BIN)/pytest -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile
 
 lint: install
 	$(BIN)/ruff check .

@@ -211,6 +211,8 @@ def _slope(maps: Array, edge: float, axis: int) -> Array:
     """Derivative of maps [x, y, z, M] along an axis, 1/mm, as sharp as two neighbours to either side tell it.
 
     x' = (8 (x_1 - x_-1) - (x_2 - x_-2)) / 12,   beyond the grid as at its end
+
+    Reference: Fornberg B. Math Comput 1988;51:699-706, table 1 (central, fourth order).
     """
     pad = [(BESIDE, BESIDE) if a == axis else (0, 0) for a in range(maps.ndim)]
     x = np.moveaxis(np.pad(maps, pad, mode="edge"), axis, 0)

@@ -1,9 +1,9 @@
 """Evidence beside the channels: contrasts that know nothing of a channel's mean, each with a noise of its own.
 
-    c_j = a e_j + nuisance + noise,    cov c_j = V_j I + N_j N_j'
+    c = a e + nuisance + noise,    C = cov c = diag(V_j) + N'N
 
-for rows j of one family. Rows are whitened, templates projected on them, and their evidence is averaged over settings
-as that of any hypothesis. V_j is given: a row's own few samples tell it too roughly.
+for all rows j of one family at once. A template's score is e' C^{-1} c, and its evidence is averaged over settings as
+that of any hypothesis. V_j is given: a row's own few samples tell it too roughly.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Family:
 
     Args:
         rows: (J, K).
-        nuisance: columns of what they may hold besides, as large as it may be (J, K, n).
+        nuisance: columns of what they may hold besides, as large as it may be (n, J, K).
         size: standard deviation of their noise (J,).
     """
 
@@ -103,16 +103,17 @@ def judge_contrasts(
         draws: of noise for the p-value.
         rng: randomness.
     """
-    roots = {name: _roots(family, least) for name, family in families.items()}
-    observed = {name: _whitened(roots[name], family.rows) for name, family in families.items()}
-    drawn = {name: rng.standard_normal((draws, values.size)) for name, values in observed.items()}
     by_name: dict[str, list[tuple[Pattern, float, float, Array]]] = {}
-    for pattern in patterns:
-        column = _whitened(roots[pattern.family], pattern.rows)
-        information = float(column @ column)
-        null = _evidence(pattern, drawn[pattern.family] @ column, information)
-        entry = (pattern, float(observed[pattern.family] @ column), information, null)
-        by_name.setdefault(pattern.name, []).append(entry)
+    for name, family in families.items():
+        mine = [pattern for pattern in patterns if pattern.family == name]
+        if not mine:
+            continue
+        scores, information = _scores(family, np.stack([p.rows.ravel() for p in mine]), least)
+        drawn = rng.standard_normal((draws, len(mine))) @ _root(information)
+        for i, pattern in enumerate(mine):
+            size = float(information[i, i])
+            entry = (pattern, float(scores[i]), size, _evidence(pattern, drawn[:, i], size))
+            by_name.setdefault(pattern.name, []).append(entry)
     found, best, nulls = {}, {}, []
     for name, entries in by_name.items():
         each = np.array([float(_evidence(p, np.asarray(score), size)) for p, score, size, _ in entries])
@@ -124,17 +125,20 @@ def judge_contrasts(
     return Contrasted({n: float(v) for n, v in found.items()}, best, p_value(total, _mean(np.stack(nulls))))
 
 
-def _roots(family: Family, least: float) -> Array:
-    """C^{-1/2} of every row (J, K, K)."""
-    variance = np.maximum(family.size, least) ** 2
-    nuisance = family.nuisance @ family.nuisance.swapaxes(-1, -2)
-    covariance = variance[:, None, None] * np.eye(family.rows.shape[1]) + nuisance
+def _scores(family: Family, columns: Array, least: float) -> tuple[Array, Array]:
+    """E C^{-1} c and E C^{-1} E' of columns E (m, J K)."""
+    weight = np.repeat(np.maximum(family.size, least) ** -2.0, family.rows.shape[1])
+    nuisance = family.nuisance.reshape(len(family.nuisance), -1)
+    inner = np.eye(len(nuisance)) + (nuisance * weight) @ nuisance.T
+    weighted = columns * weight
+    free = weighted - np.linalg.solve(inner, nuisance @ weighted.T).T @ (nuisance * weight)
+    return free @ family.rows.ravel(), free @ columns.T
+
+
+def _root(covariance: Array) -> Array:
+    """A of A'A = covariance."""
     values, axes = np.linalg.eigh(covariance)
-    return (axes / np.sqrt(np.maximum(values, _TINY))[:, None, :]) @ axes.swapaxes(-1, -2)
-
-
-def _whitened(roots: Array, rows: Array) -> Array:
-    return np.einsum("jkl,jl->jk", roots, rows).ravel()
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T
 
 
 def _evidence(pattern: Pattern, score: Array, information: float) -> Array:

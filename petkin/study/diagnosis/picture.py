@@ -167,6 +167,22 @@ class Voxels:
         """Weighted sums over each region (R, K), of weights that sum to zero there."""
         return self.over_regions(weights[:, None] * self.picture.curves.T) / (self._common * self.spread)
 
+    def weighed(self, weights: Array, region: int) -> Array:
+        """The same of one region, by several weights of its voxels (D, n) at once (D, K)."""
+        curves = self.picture.curves.T[self.place == region]
+        return np.asarray(weights @ curves / (self._common * self.spread[region]), np.float64)
+
+    @cached_property
+    def seen(self) -> Array:
+        """The labelled voxels as mixtures of courses (N, M)."""
+        return self.picture.seen[self.inside[self.picture.box]]
+
+    def mixed(self, share: float, region: int) -> Array:
+        """Columns of a mixture of the regions' curves, so large, that a contrast of one region holds (K, M)."""
+        courses = self.picture.courses
+        usual = np.sqrt(((self.fit.values @ courses.T) ** 2).mean(axis=0))
+        return share / np.linalg.norm(usual) * (usual[:, None] * courses).T / self.spread[region][:, None]
+
     def centred(self, weights: Array) -> Array:
         """Weights less their mean over the region, of unit length in each."""
         free = self.apart(weights[:, None])[:, 0]

@@ -24,6 +24,7 @@ from petkin.effects.imaging import after
 from petkin.imaging import FrameSchedule, blur
 from petkin.study.diagnosis.picture import BESIDE, Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator, onsets
+from petkin.study.diagnosis.variation import Variation
 
 Array = NDArray[np.float64]
 
@@ -31,8 +32,8 @@ Array = NDArray[np.float64]
 _WIDTHS, _TYPICAL = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0), 6.0
 #: Priors: mm of motion, relative gain at the edge of the head, and blur in units of the FWHM tried.
 _MOTION_MM, _GAIN = 10.0, 0.2
-#: Variance of the logarithm of kinetics within a region, times the voxels that vary together.
-_VARIED = 1.0
+#: A mixture of the regions' curves that is always there may be so many times as large as what the image shows.
+_MIXED = 1.7
 #: Rounds in which the sharp image is found.
 _SHARPENED = 4
 #: When a drift begins and ends, as shares of the scan.
@@ -66,12 +67,13 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         seed: of the draws of noise.
     """
     predicted, scene = _Predicted.of(voxels), _Scene(voxels)
-    families, patterns = predicted.blurred()
+    along = [place for axis in scene.axes for place in (scene.moving(axis), scene.tilted(axis))]
+    variation = Variation.of(voxels, [contrast.weights for contrast in along])
+    families, patterns = predicted.blurred(variation)
     width = predicted.width(families["blur"].rows, patterns)
-    for axis in scene.axes:
-        for more_families, more in (scene.moving(axis, simulator), scene.tilted(axis, simulator)):
-            families |= more_families
-            patterns += more
+    for contrast in along:
+        families[contrast.family] = scene.family(contrast, variation)
+        patterns += scene.patterns(contrast, simulator)
     patterns = [pattern for pattern in patterns if pattern.name in names]
     if not patterns:
         return None
@@ -84,16 +86,16 @@ def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
     return np.asarray(blur(maps, width, size), np.float64)
 
 
-_Found = tuple[dict[str, Family], list[Pattern]]
+@dataclass(frozen=True)
+class _Contrast:
+    """A contrast along an axis and what it looks for: effects that add maps (N, M) times their amplitude."""
 
-
-def _family(voxels: Voxels, weights: Array, nuisance: Array) -> Family:
-    return Family(voxels.sums(weights), nuisance, voxels.picture.grain.sizes(weights))
-
-
-def _varied(voxels: Voxels) -> Array:
-    """Columns of kinetics that vary within regions (R, K, P)."""
-    return np.sqrt(_VARIED) * voxels.sensitivity
+    family: str
+    names: tuple[str, ...]
+    axis: int
+    maps: Array
+    prior: float
+    weights: Array
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class _Predicted:
         number = np.maximum(np.bincount(self.voxels.place), 1)
         return self.voxels.over_regions(maps[self.voxels.inside]) / number[:, None]
 
-    def blurred(self) -> _Found:
+    def blurred(self, variation: Variation) -> tuple[dict[str, Family], list[Pattern]]:
         """One contrast for the point spread, with a pattern a width."""
         voxels, courses = self.voxels, self.voxels.picture.courses
         weights = voxels.centred(self._seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
@@ -138,7 +140,8 @@ class _Predicted:
             Pattern("partial_volume", "blur", row, {}, scale=width, signed=False)
             for width, row in zip(_WIDTHS, rows, strict=True)
         ]
-        return {"blur": _family(voxels, weights, _varied(voxels))}, patterns
+        size = voxels.picture.grain.sizes(weights)
+        return {"blur": Family(voxels.sums(weights), variation.columns(weights), size)}, patterns
 
     def width(self, contrast: Array, patterns: list[Pattern]) -> float:
         """The FWHM at which the predicted contrast is as large as the image's, mm."""
@@ -157,54 +160,55 @@ class _Scene:
     def axes(self) -> Iterator[int]:
         return (axis for axis, size in enumerate(self.voxels.inside.shape) if size > 1)
 
-    @property
-    def _labelled(self) -> NDArray[np.bool_]:
-        return self.voxels.inside[self.voxels.picture.box]
-
     def _mean(self, maps: Array) -> Array:
         """Their sum over the frames in units of the noise (...)."""
         usual = np.sqrt((self.voxels.spread**2).mean(axis=0))
         return maps @ (self.voxels.picture.courses / usual).sum(axis=1)
 
-    def moving(self, axis: int, simulator: RegionalSimulator) -> _Found:
+    def moving(self, axis: int) -> _Contrast:
         """Motion along an axis, mm: a step, or a drift."""
-        seen = self.voxels.picture.seen
-        slope = _slope(seen, self.voxels.picture.size[axis], axis)[self._labelled]
-        return self._setting_in(f"motion {axis}", ("motion_step", "motion_drift"), axis, slope, _MOTION_MM, simulator)
+        picture = self.voxels.picture
+        slope = _slope(picture.seen, picture.size[axis], axis)[self.voxels.inside[picture.box]]
+        return self._along(f"motion {axis}", ("motion_step", "motion_drift"), axis, slope, _MOTION_MM)
 
-    def tilted(self, axis: int, simulator: RegionalSimulator) -> _Found:
+    def tilted(self, axis: int) -> _Contrast:
         """A gain that grows along an axis, by so much from the middle to the edge of the head."""
         place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)
         place = 2.0 * (place - place.mean()) / max(float(np.ptp(place)), 1.0)
-        gained = place[:, None] * self.voxels.picture.seen[self._labelled]
-        return self._setting_in(f"gain {axis}", ("attenuation_mismatch",), axis, gained, _GAIN, simulator)
+        return self._along(f"gain {axis}", ("attenuation_mismatch",), axis, place[:, None] * self.voxels.seen, _GAIN)
 
-    def _setting_in(
-        self, family: str, names: tuple[str, ...], axis: int, maps: Array, width: float, simulator: RegionalSimulator
-    ) -> _Found:
-        voxels, courses = self.voxels, self.voxels.picture.courses
-        weights = voxels.centred(self._mean(maps))
-        always = voxels.framed(weights, maps, courses)
-        patterns = []
-        for name in names:
-            for setting, course in _courses(name, simulator.clock.frames, simulator):
-                place = {"axis": float(axis), **setting}
-                patterns.append(Pattern(name, family, always * course, place, width=width))
-        nuisance = np.concatenate([_varied(voxels), self._there(weights)], axis=2)
-        return {family: _family(voxels, weights, nuisance)}, patterns
+    def _along(self, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
+        return _Contrast(family, names, axis, maps, prior, self.voxels.centred(self._mean(maps)))
+
+    def family(self, contrast: _Contrast, variation: Variation) -> Family:
+        """Its rows, with what they may hold of an image that stays as it is."""
+        voxels, weights = self.voxels, contrast.weights
+        nuisance = np.concatenate([variation.columns(weights), self._there(weights)])
+        return Family(voxels.sums(weights), nuisance, voxels.picture.grain.sizes(weights))
+
+    def patterns(self, contrast: _Contrast, simulator: RegionalSimulator) -> list[Pattern]:
+        """What its effects add, by setting."""
+        always = self.voxels.framed(contrast.weights, contrast.maps, self.voxels.picture.courses)
+        place = {"axis": float(contrast.axis)}
+        return [
+            Pattern(name, contrast.family, always * course, place | setting, width=contrast.prior)
+            for name in contrast.names
+            for setting, course in _courses(name, simulator.clock.frames, simulator)
+        ]
 
     def _there(self, weights: Array) -> Array:
-        """Columns of what a contrast may hold of an image that stays as it is (R, K, M).
+        """Columns of mixtures of the regions' curves (R M, R, K), each region's for itself.
 
-        Where edges run within voxels no label tells, so that it may be any mixture of the regions' curves, as large as
-        what the image shows.
+        Where edges run within voxels no label tells, so that a contrast may hold some of all curves, as large as what
+        the image shows.
         """
-        voxels, courses = self.voxels, self.voxels.picture.courses
-        held = voxels.over_regions(weights[:, None] * voxels.picture.seen[self._labelled])
-        levels = voxels.fit.values @ courses.T
-        usual = np.sqrt((levels**2).mean(axis=0))
-        most = np.linalg.norm(held, axis=1) / np.linalg.norm(usual)
-        return most[:, None, None] * (usual[:, None] * courses).T / voxels.spread[:, :, None]
+        voxels = self.voxels
+        held = voxels.over_regions(weights[:, None] * voxels.seen)
+        share = _MIXED * float(np.sqrt((held**2).sum(axis=1).mean()))
+        columns = np.zeros((len(held), held.shape[1], *voxels.spread.shape))
+        for r in range(len(held)):
+            columns[r, :, r] = voxels.mixed(share, r).T
+        return columns.reshape(-1, *voxels.spread.shape)
 
 
 def _slope(maps: Array, edge: float, axis: int) -> Array:

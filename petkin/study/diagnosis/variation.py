@@ -1,0 +1,148 @@
+"""How much kinetics vary within regions, as far as an image shows it, and what contrasts may hold of that.
+
+The logarithm of every parameter varies over the voxels as a smooth field does, whose correlation falls with distance
+as e^{-d^2 / 2 l^2}. Regions that touch share it, and so do their contrasts:
+
+    c_r(k) = sum_p J_rp(k) a_rp,    cov(a_rp, a_sp) = v_p B_rs,    B_rs = sum_(v in r) sum_(u in s) w_v w_u rho(v - u)
+
+v comes from decoys: contrasts of the same weights times smooth waves, made blind to what the weights see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.study.diagnosis.picture import Voxels
+
+Array = NDArray[np.float64]
+
+#: Length over which kinetics vary, that of the waves of decoys, and edge of a cell, mm.
+_LENGTH_MM, _DECOY_MM, _CELL_MM = 15.0, 20.0, 5.0
+#: Waves of which a field is the sum, and decoys.
+_WAVES, _DECOYS = 128, 64
+#: Usual variance of the logarithm, and of how many contrasts it has the weight; so many independent ones are the decoys
+#: of a region.
+_USUAL, _TRUST, _INDEPENDENT = 0.01, 4.0, 8.0
+_ROUNDS, _TINY = 60, 1e-9
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Fields of kinetics within the regions of an image.
+
+    Args:
+        cells: where they are.
+        fields: waves of which smooth fields of unit variance are sums, at the cells (C, Q).
+        sensitivity: derivatives of the weighted regional curves by their own parameters (R, K, P).
+        variance: v of the logarithm of every parameter (P,).
+    """
+
+    cells: _Cells
+    fields: Array
+    sensitivity: Array
+    variance: Array
+
+    @classmethod
+    def of(cls, voxels: Voxels, weights: list[Array]) -> Variation:
+        """As far as contrasts of such weights (N,) show it."""
+        rng, cells = np.random.default_rng(0), _Cells.of(voxels)
+        fields, waves = cells.waves(rng, _WAVES, _LENGTH_MM), cells.waves(rng, _DECOYS, _DECOY_MM)
+        decoys = [decoy for each in weights for decoy in _decoys(voxels, each, cells, waves, fields)]
+        return cls(cells, fields, voxels.sensitivity, _variances(decoys, voxels.sensitivity.shape[2]))
+
+    def columns(self, weights: Array) -> Array:
+        """What contrasts may hold of kinetics that vary within regions (R P, R, K)."""
+        held = self.cells.over(weights[None])[0]
+        seen = np.stack([(held * (self.cells.region == r)) @ self.fields for r in range(len(self.sensitivity))])
+        size, axes = np.linalg.eigh(seen @ seen.T)
+        root = axes * np.sqrt(np.maximum(size, 0.0))
+        columns = np.einsum("rs,rkp,p->sprk", root, self.sensitivity, np.sqrt(self.variance))
+        return columns.reshape(-1, *self.sensitivity.shape[:2])
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Neighbouring voxels of a region together, so that what is smooth is drawn for few places.
+
+    Args:
+        index: cell of every voxel (N,).
+        middle: of every cell, mm (C, 3).
+        region: of every cell (C,).
+    """
+
+    index: NDArray[np.intp]
+    middle: Array
+    region: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, voxels: Voxels) -> _Cells:
+        at = np.stack(np.nonzero(voxels.inside)) * np.array(voxels.picture.size)[:, None]
+        keys = np.concatenate([voxels.place[None], np.floor(at / _CELL_MM).astype(np.intp)])
+        cells, index = np.unique(keys, axis=1, return_inverse=True)
+        index = index.ravel()
+        middle = np.stack([np.bincount(index, x) for x in at], axis=1) / np.bincount(index)[:, None]
+        return cls(index, middle, cells[0])
+
+    def waves(self, rng: np.random.Generator, count: int, length: float) -> Array:
+        """Waves (C, count), whose products have the mean e^{-d^2 / 2 length^2} / count."""
+        ways, phases = rng.standard_normal((3, count)) / length, rng.uniform(0.0, 2.0 * np.pi, count)
+        return np.asarray(np.cos(self.middle @ ways + phases) * np.sqrt(2.0 / count), np.float64)
+
+    def over(self, rows: Array, among: NDArray[np.bool_] | slice = slice(None)) -> Array:
+        """Sums over every cell (n, C) of rows of weights of the voxels, or of some of them (n, N)."""
+        index = self.index[among]
+        return np.asarray(np.stack([np.bincount(index, row, len(self.region)) for row in rows]), np.float64)
+
+
+@dataclass(frozen=True)
+class _Decoys:
+    """Decoys of one region.
+
+    Args:
+        moments: mean of their products (K, K).
+        noise: their variance by noise and by edges that run within voxels (K, K).
+        varied: what kinetics of unit variance give them (K, P).
+    """
+
+    moments: Array
+    noise: Array
+    varied: Array
+
+
+def _decoys(voxels: Voxels, weights: Array, cells: _Cells, waves: Array, fields: Array) -> list[_Decoys]:
+    """Decoys of one contrast, region by region."""
+    found, sizes = [], voxels.picture.grain.sizes(weights)
+    for r, size in enumerate(sizes):
+        mine = voxels.place == r
+        own = weights[mine]
+        seen = np.stack([np.full(own.size, own.size**-0.5), own], axis=1)
+        waved = own[:, None] * waves[cells.index[mine]]
+        free = waved - seen @ (seen.T @ waved)
+        length = np.linalg.norm(free, axis=0)
+        free = (free / np.where(length > _TINY, length, np.inf)).T
+        contrasts = voxels.weighed(free, r)
+        edges = voxels.mixed(np.sqrt(((free @ voxels.seen[mine]) ** 2).sum(axis=1).mean()), r)
+        held = ((cells.over(free, mine) @ fields) ** 2).sum() / len(free)
+        noise = size**2 * np.eye(contrasts.shape[1]) + edges @ edges.T
+        found.append(_Decoys(contrasts.T @ contrasts / len(free), noise, np.sqrt(held) * voxels.sensitivity[r]))
+    return found
+
+
+def _variances(decoys: list[_Decoys], parameters: int) -> Array:
+    """The likeliest variances (P,) beside the usual ones, of moments S = noise + sum_p v_p g_p g_p'.
+
+    Reference: Zhou H, Hu L, Zhou J, Lange K. J Comput Graph Stat 2019;28:350-361 (each step is never less likely).
+    """
+    variance = np.full(parameters, _USUAL)
+    for _ in range(_ROUNDS):
+        more, less = _TRUST * _USUAL / variance**2, _TRUST / variance
+        for decoy in decoys:
+            covariance = decoy.noise + (decoy.varied * variance) @ decoy.varied.T
+            solved = np.linalg.solve(covariance, decoy.varied)
+            more = more + _INDEPENDENT * np.einsum("kp,kl,lp->p", solved, decoy.moments, solved)
+            less = less + _INDEPENDENT * np.einsum("kp,kp->p", decoy.varied, solved)
+        variance = variance * np.sqrt(more / less)
+    return variance

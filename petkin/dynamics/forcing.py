@@ -59,9 +59,11 @@ class Forcing(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PiecewiseLinear:
     """u(t) linear between knots, zero before the first, held at the last value after the last. A doubled knot jumps.
+
+    It equals itself alone, so that what is known of it can be kept by it.
 
     Args:
         times: knots, ascending (equal neighbours make a jump).

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class ParameterSet:
                 return member
         raise InputError(f"There is no parameter {symbol!r}; this model has {', '.join(self.symbols)}.")
 
-    @property
+    @cached_property
     def symbols(self) -> tuple[str, ...]:
         return tuple(p.symbol for p in self.members)
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numba import njit
 from numpy.typing import NDArray
 
@@ -42,9 +41,11 @@ class Course:
     width: float = 10.0
     saturation: Any = 0.0
 
-    @property
-    def _amplitudes(self) -> tuple[Array, ...]:
-        return tuple(np.asarray(a, np.float64) for a in (self.flow, self.release, self.saturation))
+    def _amplitudes(self, shape: tuple[int, ...]) -> Array:
+        """Of flow, release and saturation (3, curves)."""
+        found = np.empty((3, *shape))
+        found[0], found[1], found[2] = self.flow, self.release, self.saturation
+        return found.reshape(3, -1)
 
     def departure(self, rates: Array, plasma: Forcing, clock: FrameObservation) -> Array:
         """Frame values with this course less those at constant rates.
@@ -57,23 +58,21 @@ class Course:
         Returns:
             (..., C, K), kBq/mL.
         """
-        edges = np.unique(np.concatenate([clock.frames.start, clock.frames.end, [0.0]]))
+        edges = np.concatenate([clock.frames.start, clock.frames.end, [0.0]])
         onsets = [onset for size, onset in ((self.flow, self.changed), (self.release, self.released)) if np.any(size)]
         times = _steps(edges[edges >= 0], onsets, plasma)
-        flat = rates.reshape(-1, 4)
-        shape = rates.shape[:-1]
-        flow, release, saturation = (np.broadcast_to(a, shape).ravel() for a in self._amplitudes)
+        flow, release, saturation = self._amplitudes(rates.shape[:-1])
         since = times - self.released
         rise = np.where(since > 0, since / self.width * np.exp(1.0 - since / self.width), 0.0)
         started = _part_after(times, self.changed)
-        u = plasma(torch.from_numpy(times)).numpy()
-        curves = _difference(times, u, flat, flow, release, saturation, rise, started)
-        return _framed(times, curves, clock).reshape(*shape, -1)
+        u = np.asarray(plasma(times))
+        curves = _difference(times, u, rates.reshape(-1, 4), flow, release, saturation, rise, started)
+        return _framed(times, curves, clock).reshape(*rates.shape[:-1], -1)
 
 
 def _steps(edges: Array, onsets: list[float], plasma: Forcing) -> Array:
     """2 s while the input is sharp, half a minute later, and never across an edge or an onset."""
-    end = edges[-1]
+    end = edges.max()
     knots = np.asarray(plasma.knots)
     arrival = max(float(knots[0]), 0.0)
     fine = [np.arange(0.0, min(arrival + 5.0, end), 1 / 30), np.arange(min(arrival + 5.0, end), end, 0.5)]
@@ -120,10 +119,19 @@ def _difference(times, u, rates, flow, release, saturation, rise, started):
 
 def _framed(times: Array, curves: Array, clock: FrameObservation) -> Array:
     """Decay-weighted means of straight pieces over frames, whose edges are among the times."""
-    weight = np.exp(-clock.decay * times)
-    pieces = 0.5 * (curves[:, 1:] * weight[1:] + curves[:, :-1] * weight[:-1]) * np.diff(times)
-    area = np.concatenate([np.zeros((len(curves), 1)), np.cumsum(pieces, axis=1)], axis=1)
     start, end = (
         np.searchsorted(times, np.round(np.maximum(e, 0.0), 9)) for e in (clock.frames.start, clock.frames.end)
     )
-    return (area[:, end] - area[:, start]) / clock.divisor
+    return _integrals(times, curves, np.exp(-clock.decay * times), start, end) / clock.divisor
+
+
+@njit(cache=True, error_model="numpy")
+def _integrals(times, curves, weight, start, end):
+    found, area = np.empty((curves.shape[0], start.size)), np.zeros(times.size)
+    for c in range(curves.shape[0]):
+        for i in range(times.size - 1):
+            here, there = curves[c, i] * weight[i], curves[c, i + 1] * weight[i + 1]
+            area[i + 1] = area[i] + 0.5 * (here + there) * (times[i + 1] - times[i])
+        for k in range(start.size):
+            found[c, k] = area[end[k]] - area[start[k]]
+    return found

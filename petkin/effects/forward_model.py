@@ -16,6 +16,7 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
+from petkin.dynamics.arrays import library
 from petkin.effects.course import Course
 from petkin.effects.responses import Exact, Responses, alike
 from petkin.errors import InputError
@@ -49,12 +50,13 @@ class Tissue:
         """Frame values of C_T (..., regions, frames)."""
         compartments = compartment_model(self.model)
         rates = {symbol: self.rates[symbol] for symbol in compartments.parameters.symbols[: compartments.rates]}
-        halves = [1.0 + self.spread, 1.0 - self.spread] if np.any(self.spread) else [1.0]
-        total: Any = 0.0
-        for half in halves:
-            mixed = [rate * half if symbol in ("K1", "k2") else rate for symbol, rate in rates.items()]
-            for phi, a in compartments.impulse(*mixed):
-                total = total + phi[..., None] * seen.plasma(a) / len(halves)
+        halves = [1.0 + self.spread, 1.0 - self.spread] if present(self.spread) else [1.0]
+        mixtures = [
+            [rate * half if symbol in ("K1", "k2") else rate for symbol, rate in rates.items()] for half in halves
+        ]
+        parts = [part for mixed in mixtures for part in compartments.impulse(*mixed)]
+        responses = seen.plasma(library(rates["K1"]).stack([a for _, a in parts]))
+        total: Any = sum(phi[..., None] * response for (phi, _), response in zip(parts, responses)) / len(halves)
         if self.metabolite is not None:
             share, back = self.metabolite
             K1 = rates["K1"]
@@ -64,7 +66,7 @@ class Tissue:
         return total
 
     def _departure(self, model: ForwardModel, rates: list[Any]) -> Any:
-        plain = [np.asarray(torch.as_tensor(rate).detach()) for rate in rates]
+        plain = [rate if isinstance(rate, np.ndarray) else torch.as_tensor(rate).detach().numpy() for rate in rates]
         missing = [np.zeros_like(plain[0])] * (4 - len(plain))
         assert self.course is not None
         return self.course.departure(np.stack([*plain, *missing], axis=-1), model.input.plasma, model.clock)
@@ -133,8 +135,8 @@ class ForwardModel:
     def is_plain(self) -> bool:
         """Whether values are compartments and blood alone, with nothing that changes, mixes or scales them besides."""
         tissue, added = self.tissue, (self.vascular.trapping, self.noise.bias)
-        changed = np.any(tissue.spread) or tissue.metabolite is not None or tissue.course is not None
-        return not (changed or self.imaging.distortions or any(np.any(a) for a in added))
+        changed = present(tissue.spread) or tissue.metabolite is not None or tissue.course is not None
+        return not (changed or self.imaging.distortions or any(map(present, added)))
 
     def frame_values(self) -> Float[Tensor, "regions frames"]:
         """Noise-free values that the frames report of each region, kBq/mL, before the point spread; differentiable."""
@@ -143,16 +145,29 @@ class ForwardModel:
 
     def values(self, seen: Responses) -> Any:
         """The same from given responses; rates and volumes may have batch axes before that of the regions."""
+        return self.shown(self.uptake(seen))
+
+    def uptake(self, seen: Responses) -> Any:
+        """What the regions hold, before the scanner changes it."""
         vB = self.vascular.volume
         values = (1.0 - vB)[..., None] * self.tissue.values(self, seen) + vB[..., None] * seen.blood
-        if np.any(self.vascular.trapping):
+        if present(self.vascular.trapping):
             lining = vB if self.vascular.lining is None else 0.0 * vB + self.vascular.lining
             values = values + (lining * self.vascular.trapping)[..., None] * seen.blood_area
+        return values
+
+    def shown(self, values: Any) -> Any:
+        """What the scanner makes of what the regions hold."""
         for distortion in self.imaging.distortions:
             values = distortion(values, self.clock)
         if self.noise.bias:
             values = values + alike(self.noise.excess(self.clock) * peak(values), values)
         return values
+
+
+def present(amount: Any) -> bool:
+    """Whether an amount, or one of several, is not zero."""
+    return amount != 0 if isinstance(amount, float) else bool(np.any(amount))
 
 
 def peak(values: Any) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from petkin.dynamics import ExponentialSum, Forcing, Parameter, ParameterSet, PiecewiseLinear, Shifted
+from petkin.dynamics.arrays import alike, library
 from petkin.effects.effect import Effect
 from petkin.effects.forward_model import ForwardModel
 from petkin.errors import InputError
@@ -59,16 +60,18 @@ def _smeared(forcing: Forcing, tau: float, end: float) -> Forcing:
 
 def _sharpened(curve: PiecewiseLinear, tau: float) -> PiecewiseLinear:
     """u + tau u', what entered where u came out; slopes as parabolas through neighbouring knots have them."""
-    return PiecewiseLinear(curve.times, curve.values + tau * torch.gradient(curve.values, spacing=(curve.times,))[0])
+    times, values = alike(curve.times, curve.values)
+    slopes = np.gradient(values, times) if library(values) is np else torch.gradient(values, spacing=(times,))[0]
+    return PiecewiseLinear(times, values + tau * slopes)
 
 
 def straight(forcing: Forcing, end: float) -> PiecewiseLinear:
     """A curve in straight pieces up to `end`: itself where it is, else close to it."""
     if isinstance(forcing, PiecewiseLinear):
-        return forcing.tensors
+        return forcing
     knots = np.asarray(forcing.knots)
     first = np.concatenate([knots[knots < end], np.linspace(float(knots[0]), end, 64)])
-    return piecewise_linear(lambda t: np.asarray(forcing(t)), first, tolerance=_TOLERANCE).tensors
+    return piecewise_linear(lambda t: np.asarray(forcing(t)), first, tolerance=_TOLERANCE)
 
 
 def _scale(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -80,7 +83,8 @@ def _scale(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
         if isinstance(forcing, ExponentialSum):
             return replace(forcing, coefficients=forcing.coefficients * factor)
         curve = straight(forcing, end)
-        return replace(curve, values=curve.values * factor)
+        values, by = alike(curve.values, factor)
+        return replace(curve, values=values * by)
 
     return _of_all(model, lambda forcing: scaled(forcing, _end(model)))
 
@@ -106,12 +110,12 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
         if isinstance(forcing, Shifted):
             return Shifted(kept(forcing.forcing, end - float(forcing.delay)), forcing.delay)
         curve = straight(forcing, end)
-        t = curve.times.clamp(min=0.0)
-        return PiecewiseLinear(curve.times, curve.values * (1.0 - loss * t**2 / (t**2 + half**2)))
+        t, before, lost, late = alike(curve.times.clip(min=0.0), curve.values, loss, half)
+        return PiecewiseLinear(curve.times, before * (1.0 - lost * t**2 / (t**2 + late**2)))
 
     before, end = model.input, _end(model)
-    fraction = before.parent_fraction or PiecewiseLinear(*torch.tensor([[0.0, end], [1.0, 1.0]], dtype=torch.float64))
-    finer = PiecewiseLinear(t := torch.linspace(0.0, end, 512, dtype=torch.float64), fraction(t))
+    fraction = before.parent_fraction or PiecewiseLinear(np.array([0.0, end]), np.ones(2))
+    finer = PiecewiseLinear(t := np.linspace(0.0, end, 512), fraction(t))
     changed = replace(
         before,
         plasma=kept(before.plasma, end),
@@ -124,13 +128,14 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
 
 def _spilled(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     """C - m T, T = k e^{-k t} * C the tissue around the vessel."""
-    rate = torch.tensor(_TISSUE_RATE, dtype=torch.float64)
 
     def cleared(forcing: Forcing, end: float) -> Forcing:
         if isinstance(forcing, Shifted):
             return Shifted(cleared(forcing.forcing, end - float(forcing.delay)), forcing.delay)
         curve = straight(forcing, end)
-        return replace(curve, values=curve.values - values["share"] * rate * curve.response(rate, curve.times))
+        around = _TISSUE_RATE * curve.response(_TISSUE_RATE, curve.times)
+        recorded, around, share = alike(curve.values, around, values["share"])
+        return replace(curve, values=recorded - share * around)
 
     return _of_all(model, lambda forcing: cleared(forcing, _end(model)))
 

@@ -9,6 +9,7 @@ With u the decayed input and y its response, y' = u - (a + lambda) y, so a frame
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Protocol
@@ -150,28 +151,26 @@ class _March:
         sinks = np.zeros(0) if rates is None else rates + self.decay
         if clock.mid_frame:
             return self._mid_frame(clock, sinks)
-        edges = np.concatenate([clock.frames.start, clock.frames.end]) - self.delay
-        y, area = _at(self.nodes, self.u, self.y, self.area, sinks, edges)
-        count = len(clock.frames)
-        gone = np.exp(-self.decay * self.delay)  # decay over the delay: the input is decay-corrected to injection
-        integral = area[count:] - area[:count]
-        if rates is not None:
-            integral = (integral - (y[:, count:] - y[:, :count])) / np.maximum(sinks, _LEAST)[:, None]
-        return gone * integral / clock.divisor
+        frames = clock.frames
+        integral = _counted(
+            self.nodes, self.u, self.y, self.area, sinks, frames.start - self.delay, frames.end - self.delay
+        )
+        gone = math.exp(-self.decay * self.delay)  # decay over the delay: the input is decay-corrected to injection
+        return (gone / clock.divisor) * (integral[:-1] if sinks.size else integral[-1])
 
     def _mid_frame(self, clock: FrameObservation, sinks: Array) -> Array:
         mid = clock.frames.mid - self.delay
         if sinks.size:
-            curve = _at(self.nodes, self.u, self.y, self.area, sinks, mid)[0]
+            curve = _at(self.nodes, self.u, self.y, self.area, sinks, mid)[:, :-1].T
         else:
             curve = np.interp(mid, self.nodes, self.u, left=0.0)
         return curve * np.exp(self.decay * mid) * clock.gain_or_one
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=64)
 def _marched(forcing: Forcing, decay: float, nodes: bytes) -> tuple[Array, Array, Array, Array]:
     times = np.frombuffer(nodes).copy()
-    u = np.asarray(forcing(torch.from_numpy(times)).numpy() * np.exp(-decay * times), np.float64)
+    u = np.asarray(forcing(times), np.float64) * np.exp(-decay * times)
     y, area = _walk(times, u, _steps(decay, nodes))
     return times, u, y, area
 
@@ -181,26 +180,26 @@ def _march(forcing: Forcing, delay: float, decay: float, nodes: bytes) -> _March
 
 
 @njit(cache=True, error_model="numpy")
-def _step(a, d, first, last):
-    """int_0^d e^{-a (d - s)} u(s) ds for u straight from `first` to `last`."""
+def _step(a, d):
+    """What a step of length d keeps of y, and what it adds per first and last value of a straight input:
+
+    e^{-a d},   int_0^d e^{-a (d - s)} (1 - s / d) ds,   int_0^d e^{-a (d - s)} s / d ds
+    """
     x = a * d
     if x < 1e-3:
-        return d * (first * (0.5 - x / 3.0 + x * x / 8.0) + last * (0.5 - x / 6.0 + x * x / 24.0))
+        return np.exp(-x), d * (0.5 - x / 3.0 + x * x / 8.0), d * (0.5 - x / 6.0 + x * x / 24.0)
     gone = -np.expm1(-x)
-    ramp = (x - gone) / (x * x)  # weight of the last value, over d
-    return d * ((gone / x - ramp) * first + ramp * last)
+    ramp = (x - gone) / (x * x)
+    return 1.0 - gone, d * (gone / x - ramp), d * ramp
 
 
 @njit(cache=True, error_model="numpy")
 def _weigh(times, rates):
-    """What a step keeps of y, and what it adds per first and last value of the input (3, steps, rates)."""
-    found = np.empty((3, times.size - 1, rates.size))
+    """The steps between nodes for every rate (steps, rates, 3)."""
+    found = np.empty((times.size - 1, rates.size, 3))
     for i in range(times.size - 1):
-        d = times[i + 1] - times[i]
         for r in range(rates.size):
-            found[0, i, r] = np.exp(-rates[r] * d)
-            found[1, i, r] = _step(rates[r], d, 1.0, 0.0)
-            found[2, i, r] = _step(rates[r], d, 0.0, 1.0)
+            found[i, r] = _step(rates[r], times[i + 1] - times[i])
     return found
 
 
@@ -211,34 +210,57 @@ def _steps(decay: float, nodes: bytes) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def _walk(times, u, weights):
-    steps, count = weights.shape[1:]
-    y, area = np.zeros((count, steps + 1)), np.zeros(steps + 1)
-    here = np.zeros(count)
+    """y (nodes, rates) and U at the nodes."""
+    steps, count = weights.shape[:2]
+    y, area = np.zeros((steps + 1, count)), np.zeros(steps + 1)
     for i in range(steps):
         area[i + 1] = area[i] + 0.5 * (times[i + 1] - times[i]) * (u[i] + u[i + 1])
         for r in range(count):
-            here[r] = weights[0, i, r] * here[r] + weights[1, i, r] * u[i] + weights[2, i, r] * u[i + 1]
-            y[r, i + 1] = here[r]
+            y[i + 1, r] = weights[i, r, 0] * y[i, r] + weights[i, r, 1] * u[i] + weights[i, r, 2] * u[i + 1]
     return y, area
 
 
 @njit(cache=True, error_model="numpy")
+def _reach(times, u, y, area, rates, t, found):
+    """y of every rate and, last, U at a time; zero before the first node, the input held after the last."""
+    found[:] = 0.0
+    if t <= times[0]:
+        return
+    i = min(np.searchsorted(times, t, side="right") - 1, times.size - 1)
+    d, here = t - times[i], u[i]
+    if i + 1 < times.size:
+        here = u[i] + (u[i + 1] - u[i]) * d / (times[i + 1] - times[i])
+    for r in range(rates.size):
+        kept, first, last = _step(rates[r], d)
+        found[r] = kept * y[i, r] + first * u[i] + last * here
+    found[-1] = area[i] + 0.5 * d * (u[i] + here)
+
+
+@njit(cache=True, error_model="numpy")
 def _at(times, u, y, area, rates, wanted):
-    """y and U at any time; zero before the first node, the input held after the last."""
-    count = wanted.size
-    found, total = np.zeros((rates.size, count)), np.zeros(count)
-    for k in range(count):
-        t = wanted[k]
-        if t <= times[0]:
-            continue
-        i = min(np.searchsorted(times, t, side="right") - 1, times.size - 1)
-        d, here = t - times[i], u[i]
-        if i + 1 < times.size:
-            here = u[i] + (u[i + 1] - u[i]) * d / (times[i + 1] - times[i])
-        total[k] = area[i] + 0.5 * d * (u[i] + here)
+    """The same at many times (times, rates + 1)."""
+    found = np.empty((wanted.size, rates.size + 1))
+    for k in range(wanted.size):
+        _reach(times, u, y, area, rates, wanted[k], found[k])
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _counted(times, u, y, area, rates, start, end):
+    """Integrals over frames of the response to every rate, (dU - dy) / a, and, last, of u (rates + 1, frames)."""
+    found = np.empty((rates.size + 1, start.size))
+    before, after = np.empty(rates.size + 1), np.empty(rates.size + 1)
+    for k in range(start.size):
+        if k > 0 and start[k] == end[k - 1]:
+            before, after = after, before
+        else:
+            _reach(times, u, y, area, rates, start[k], before)
+        _reach(times, u, y, area, rates, end[k], after)
+        gained = after[-1] - before[-1]
         for r in range(rates.size):
-            found[r, k] = np.exp(-rates[r] * d) * y[r, i] + _step(rates[r], d, u[i], here)
-    return found, total
+            found[r, k] = (gained - (after[r] - before[r])) / max(rates[r], _LEAST)
+        found[-1, k] = gained
+    return found
 
 
 @njit(cache=True, error_model="numpy")

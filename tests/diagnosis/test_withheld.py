@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from petkin.diagnosis import DRIVE, Diagnosis, diagnose
+from petkin.diagnosis import DRIVE, Diagnosis, Term, diagnose
 from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.refit import State, refit
 from petkin.dynamics import PiecewiseLinear
@@ -138,6 +138,21 @@ def test_an_input_that_departs_from_its_record_is_not_taken_for_kinetics(seed: i
     found = case(seed, "interrupted_record", 12.0, seed % 4).answer
     assert (found.kind, found.unknown_place) == ("unknown", DRIVE)
     assert "plasma input" in sentence(found)
+
+
+def test_what_is_kept_of_predictions_changes_none() -> None:
+    """Every effect twice, forwards and backwards through more than is kept, against a simulator that begins anew."""
+    simulator = simulator_of(scan.draw(np.random.default_rng(4)))
+    own, shared = simulator.starts[0], simulator.shared.mean
+    count = len(simulator.channels)
+    terms = [
+        Term(h, np.full(count, h.typical) if h.by_channel else h.typical, setting)
+        for h in hypotheses(EFFECTS, simulator, without=frozenset())
+        for setting in h.settings[:8]
+    ]
+    for term in (*terms, *reversed(terms)):
+        other = replace(simulator).predict(own, shared, (term,))
+        np.testing.assert_array_equal(simulator.predict(own, shared, (term,)), other)
 
 
 def test_what_drives_the_regions_passes_through_their_kinetics() -> None:

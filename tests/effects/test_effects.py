@@ -142,6 +142,20 @@ def test_a_table_of_responses_reads_as_the_exact_ones(effect: Effect, one_tissue
     np.testing.assert_allclose(values, expected, rtol=2e-4, atol=2e-5 * expected.max())
 
 
+@pytest.mark.parametrize("effect", [e for e in EFFECTS if e.stage == "input"], ids=lambda e: e.name)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_effect_on_an_input_of_arrays_is_that_on_tensors(
+    effect: Effect, sign: float, one_tissue: ForwardModel
+) -> None:
+    base, _ = straightened(effect, one_tissue)
+    curves = {f: getattr(base.input, f) for f in ("plasma", "whole_blood", "total_plasma")}
+    arrays = {f: PiecewiseLinear(c.times.numpy(), c.values.numpy()) for f, c in curves.items()}
+    other = dataclasses.replace(base, input=dataclasses.replace(base.input, **arrays))
+    values = within(effect) | {effect.amplitude.symbol: sign * 0.05 * effect.amplitude.upper}
+    expected, found = (effect.inject(model, values).frame_values() for model in (base, other))
+    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
 def test_members_of_a_batch_do_not_know_of_each_other(effect: Effect, one_tissue: ForwardModel) -> None:
     """Slopes are taken from batches: what one member changes in another is a wrong slope."""

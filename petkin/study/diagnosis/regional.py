@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Coordinates, Hypothesis, Shape, Term
@@ -43,6 +42,8 @@ _ACCURACY = 5e-4
 _SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
 #: Onsets before this (min) would be told from blood and its delay by their timing alone.
 _BOLUS_PASSED = 5.0
+#: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
+_SCANNER, _KEPT = ("imaging", "noise"), 128
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class RegionalSimulator:
     measured: frozenset[str] = frozenset()
     flatness: float = 0.0
     grain: Array | None = None
-    _seen: dict[Any, Tabulated] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -124,11 +125,21 @@ class RegionalSimulator:
 
     def predict(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
         model = self.model(own, shared, terms)
-        return model.values(self._responses(model, shared, terms))
+        before = (*_place(own, shared), _key(t for t in terms if t.hypothesis.stage not in _SCANNER))
+        return model.shown(self._once(before, lambda: model.uptake(self._responses(model, shared, terms))))
 
     def model(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> ForwardModel:
         """The forward model at a point."""
-        values = dict(zip(self.own.symbols, np.moveaxis(np.exp(np.clip(own, -12.0, 4.0)), -1, 0)))
+        model = self._once(_place(own, shared), lambda: self._including(own, shared))
+        for term in terms:
+            effect = effect_of(term.hypothesis)
+            model = effect.inject(model, {effect.amplitude.symbol: term.amplitude, **term.setting})
+        return model
+
+    def _including(self, own: Array, shared: Array) -> ForwardModel:
+        """The forward model with the effects that it includes."""
+        amounts = np.exp(own.clip(-12.0, 4.0))
+        values = {symbol: amounts[..., i] for i, symbol in enumerate(self.own.symbols)}
         nothing = np.zeros(own.shape[:-1])
         model = ForwardModel(
             regions=self.channels,
@@ -144,23 +155,20 @@ class RegionalSimulator:
                 model = effect.inject(model)
         for effect, amount in zip(self._shared_effects, shared):
             model = effect.inject(model, {effect.amplitude.symbol: amount * width(effect)})
-        for term in terms:
-            model = self._with(model, term)
         return model
 
-    def _with(self, model: ForwardModel, term: Term) -> ForwardModel:
-        effect = effect_of(term.hypothesis)
-        return effect.inject(model, {effect.amplitude.symbol: term.amplitude, **term.setting})
-
     def _responses(self, model: ForwardModel, shared: Array, terms: tuple[Term, ...]) -> Tabulated:
-        """A table of the model's input and clock, kept while neither changes."""
-        moving = [t for t in terms if t.hypothesis.stage in ("input", "clock")]
-        key = (shared.tobytes(), tuple((t.hypothesis.name, repr(t.amplitude), repr(t.setting)) for t in moving))
-        if key not in self._seen:
-            if len(self._seen) > 64:
-                self._seen.clear()
-            self._seen[key] = Tabulated(model.input, model.clock, self.nodes)
-        return self._seen[key]
+        """A table of the model's input and clock."""
+        moving = _key(t for t in terms if t.hypothesis.stage in ("input", "clock"))
+        return self._once((shared.tobytes(), moving), lambda: Tabulated(model.input, model.clock, self.nodes))
+
+    def _once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What was made before under this key; the oldest is forgotten."""
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = make()
+        return self._kept[key]
 
     def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
         """C_P departs by courses times the geometric mean of itself and its mean over the scan."""
@@ -173,11 +181,10 @@ class RegionalSimulator:
 
     def _under(self, course: Array) -> RegionalSimulator:
         """The same with a small departure of C_P."""
-        times = torch.from_numpy(self.nodes)
-        plasma = self.input.plasma(times).numpy()
+        plasma = np.asarray(self.input.plasma(self.nodes))
         mean = np.trapezoid(plasma, self.nodes) / self.nodes[-1]
         level = np.sqrt(np.maximum(plasma * mean, 0.0))
-        other = PiecewiseLinear(times, torch.from_numpy(plasma + _DEPARTURE * level * course))
+        other = PiecewiseLinear(self.nodes, plasma + _DEPARTURE * level * course)
         return replace(self, input=replace(self.input, plasma=other))
 
     def spread(self, values: Array) -> Array:
@@ -192,6 +199,23 @@ class RegionalSimulator:
         own = np.tile(self.own.mean, (len(self.channels), 1))
         seen = self._responses(self.model(own, shared), shared, ())
         return np.concatenate([seen.plasma(_LADDER), seen.blood[None], seen.blood_area[None]])
+
+
+def _place(own: Array, shared: Array) -> tuple[Any, ...]:
+    """Identifies a point."""
+    return own.shape, own.tobytes(), shared.tobytes()
+
+
+def _key(terms: Iterable[Term]) -> tuple[Any, ...]:
+    """Identifies terms with their values."""
+    return tuple(
+        (t.hypothesis.name, _bytes(t.amplitude), *((symbol, _bytes(value)) for symbol, value in t.setting.items()))
+        for t in terms
+    )
+
+
+def _bytes(value: Any) -> bytes:
+    return np.asarray(value, np.float64).tobytes()
 
 
 def kinetics(label: str) -> tuple[str, ...]:
@@ -289,10 +313,9 @@ def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0
 
 def read_at(arterial: InputFunction, nodes: Array) -> InputFunction:
     """The input as straight lines between nodes."""
-    times = torch.from_numpy(nodes)
 
     def lines(curve: Forcing | None) -> PiecewiseLinear | None:
-        return None if curve is None else PiecewiseLinear(times, curve(times))
+        return None if curve is None else PiecewiseLinear(nodes, np.asarray(curve(nodes)))
 
     plasma = lines(arterial.plasma)
     blood = plasma if arterial.whole_blood is arterial.plasma else lines(arterial.whole_blood)

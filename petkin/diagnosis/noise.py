@@ -44,10 +44,13 @@ class Noise:
         """R^{-1/2} of R = (1 - rho) I + rho 11' (C, C)."""
         return inverse_root(len(self.size), np.array(self.share))
 
+    @cached_property
+    def _scale(self) -> Array:
+        return self.size[:, None] * self.spread
+
     def whiten(self, values: Array) -> Array:
         """Values (..., C, K) in units in which noise is white, flattened to (..., C K)."""
-        scaled = values / (self.size[:, None] * self.spread)
-        return (self.mixing @ scaled).reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
+        return (self.mixing @ (values / self._scale)).reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
 
 
 def inverse_root(count: int, share: Array) -> Array:

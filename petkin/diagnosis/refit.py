@@ -43,32 +43,41 @@ class State:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """A fitted point.
+class Point:
+    """A state and what is seen there.
 
     Args:
         state: where.
         values: predicted (C, K).
         residual: whitened (C K,).
-        jacobian: whitened columns, own (C Po), shared (S), then those of the terms (C K, n).
-        penalty: 1 / sd^2 of every column (n,).
-        pulled: (m - x) / sd of every column (n,), the residual of the prior.
+        penalty: 1 / sd^2 of every coordinate (n,).
+        pulled: (m - x) / sd of every coordinate (n,), the residual of the prior.
         objective: chi-square and prior together.
-        nuisance: how many columns are the simulator's own, before those of the terms.
     """
 
     state: State
     values: Array
     residual: Array
-    jacobian: Array
     penalty: Array
     pulled: Array
     objective: float
-    nuisance: int
 
     @property
     def chi2(self) -> float:
         return float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True)
+class Fit(Point):
+    """A fitted point.
+
+    Args:
+        jacobian: whitened columns, own (C Po), shared (S), then those of the terms (C K, n).
+        nuisance: how many columns are the simulator's own, before those of the terms.
+    """
+
+    jacobian: Array
+    nuisance: int
 
 
 def refit(
@@ -94,7 +103,7 @@ def refit(
         behind: objective from which on only the first iterations are done, unless it falls fast.
     """
     target, damping, stale = noise.whiten(data), 1e-3, 0
-    here = _at(simulator, noise, target, start)
+    here = _at(simulator, noise, _point(simulator, noise, target, start))
     for i in range(_LONGEST):
         lower, damping = _lower(simulator, noise, target, here, damping, patient=not stale)
         fell = 0.0 if lower is None else here.objective - lower.objective
@@ -104,10 +113,10 @@ def refit(
         if settled and not stale:
             break
         if settled or stale >= renewed:
-            here, stale = _at(simulator, noise, target, here.state, here.values), 0
+            here, stale = _renewed(simulator, noise, here), 0
             if settled and lower is not None:
                 break
-    return here if not stale else _at(simulator, noise, target, here.state, here.values)
+    return here if not stale else _renewed(simulator, noise, here)
 
 
 def begun(simulator: Simulator, data: Array, noise: Noise, origin: Fit, added: tuple[Term, ...]) -> State:
@@ -128,7 +137,7 @@ def begun(simulator: Simulator, data: Array, noise: Noise, origin: Fit, added: t
         there = replace(moved, terms=(*moved.terms, *terms))
         after = simulator.predict(there.own, there.shared, there.terms)
         for state, predicted in ((here, values), (there, after)):
-            reached = _objective(simulator, noise, target, state, predicted)
+            reached = _point(simulator, noise, target, state, predicted).objective
             if best is None or reached < least:
                 best, least = state, reached
         if least < origin.objective or all(t.hypothesis.flag for t in added):
@@ -141,17 +150,15 @@ def _lower(
     simulator: Simulator, noise: Noise, target: Array, here: Fit, damping: float, *, patient: bool
 ) -> tuple[Fit | None, float]:
     """A lower point by a damped step, with the simulator's own derivatives as they are here, and the next damping."""
-    offset = _offsets(simulator, here.state)
     normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
-    slope = here.jacobian.T @ here.residual - here.penalty * offset
+    slope = here.jacobian.T @ here.residual + np.sqrt(here.penalty) * here.pulled
     room = _room(simulator, here.state)
     while damping < _STUCK:
         scale = damping * np.diag(normal) + 1e-12
         step = _within(normal + np.diag(scale), slope, *room)
-        moved = _moved(simulator, here.state, step)
-        values = simulator.predict(moved.own, moved.shared, moved.terms)
-        if _objective(simulator, noise, target, moved, values) < here.objective:
-            return _at(simulator, noise, target, moved, values, here), max(damping / 10.0, 1e-9)
+        there = _point(simulator, noise, target, _moved(simulator, here.state, step))
+        if there.objective < here.objective:
+            return _at(simulator, noise, there, here), max(damping / 10.0, 1e-9)
         if not patient:
             break
         damping *= 8.0
@@ -160,14 +167,14 @@ def _lower(
 
 def _within(normal: Array, slope: Array, lower: Array, upper: Array) -> Array:
     """The step that solves normal s = slope, but for what would leave the room: that stops there, the rest makes up."""
-    step, free = np.zeros(len(slope)), np.ones(len(slope), bool)
-    for _ in range(_ROUNDS):
-        left = slope[free] - normal[np.ix_(free, ~free)] @ step[~free]
-        step[free] = np.linalg.solve(normal[np.ix_(free, free)], left)
+    step, free = np.asarray(np.linalg.solve(normal, slope), np.float64), np.ones(len(slope), bool)
+    for _ in range(_ROUNDS - 1):
         beyond = free & ((step < lower) | (step > upper))
         if not beyond.any():
             break
         step, free = np.clip(step, lower, upper), free & ~beyond
+        left = slope[free] - normal[np.ix_(free, ~free)] @ step[~free]
+        step[free] = np.linalg.solve(normal[np.ix_(free, free)], left)
     return np.clip(step, lower, upper)
 
 
@@ -190,52 +197,45 @@ def _room(simulator: Simulator, state: State) -> tuple[Array, Array]:
     return np.concatenate(lower), np.concatenate(upper)
 
 
-def _objective(simulator: Simulator, noise: Noise, target: Array, state: State, values: Array) -> float:
-    """What a refit makes small, at a point."""
-    residual = target - noise.whiten(values)
-    offset = _offsets(simulator, state)
-    return float(residual @ residual + (penalties(simulator, state) * offset**2).sum())
-
-
-def _at(
-    simulator: Simulator,
-    noise: Noise,
-    target: Array,
-    state: State,
-    values: Array | None = None,
-    known: Fit | None = None,
-) -> Fit:
-    """A point; its values where they are known, and the fit nearby whose own derivatives still hold."""
+def _point(simulator: Simulator, noise: Noise, target: Array, state: State, values: Array | None = None) -> Point:
+    """A point; its values where they are known."""
     if values is None:
         values = simulator.predict(state.own, state.shared, state.terms)
+    residual = target - noise.whiten(values)
+    penalty, offset = _prior(simulator, state)
+    pulled = -np.sqrt(penalty) * offset
+    return Point(state, values, residual, penalty, pulled, float(residual @ residual + pulled @ pulled))
+
+
+def _at(simulator: Simulator, noise: Noise, point: Point, known: Fit | None = None) -> Fit:
+    """A point with its derivatives; the fit nearby whose own ones still hold."""
+    state, values = point.state, point.values
     nuisance = state.own.size + state.shared.size
-    added = noise.whiten(of_terms(simulator, state, values)).T
-    if known is None:
-        jacobian = np.concatenate([noise.whiten(of_nuisance(simulator, state, values)).T, added], axis=1)
-    else:
-        jacobian = np.concatenate([known.jacobian[:, :nuisance], added], axis=1)
-    residual, penalty = target - noise.whiten(values), penalties(simulator, state)
-    pulled = -np.sqrt(penalty) * _offsets(simulator, state)
-    objective = float(residual @ residual + pulled @ pulled)
-    return Fit(state, values, residual, jacobian, penalty, pulled, objective, nuisance)
+    own = noise.whiten(of_nuisance(simulator, state, values)).T if known is None else known.jacobian[:, :nuisance]
+    jacobian = np.concatenate([own, noise.whiten(of_terms(simulator, state, values)).T], axis=1)
+    return Fit(state, values, point.residual, point.penalty, point.pulled, point.objective, jacobian, nuisance)
+
+
+def _renewed(simulator: Simulator, noise: Noise, fit: Fit) -> Fit:
+    """The same point with the simulator's own derivatives as they are here."""
+    own = noise.whiten(of_nuisance(simulator, fit.state, fit.values)).T
+    return replace(fit, jacobian=np.concatenate([own, fit.jacobian[:, fit.nuisance :]], axis=1))
 
 
 def of_nuisance(simulator: Simulator, state: State, values: Array) -> Array:
     """Derivatives by the simulator's own coordinates and the shared ones (n, C, K), at known values (C, K)."""
-    own, steps = simulator.own, simulator.own.step
-    count, size = len(simulator.channels), len(own)
-    batch = np.repeat(state.own[None], size, axis=0)
-    for p in range(size):
-        batch[p, :, p] += steps[p]
-    found = simulator.predict(batch, state.shared, state.terms)
-    columns = [_spread_out((found[p] - values) / steps[p]) for p in range(size)]
-    mine = np.stack(columns, axis=1).reshape(count * size, *values.shape)
+    steps, count = simulator.own.step, len(simulator.channels)
+    batch = state.own + np.diag(steps)[:, None, :]
+    change = (simulator.predict(batch, state.shared, state.terms) - values) / steps[:, None, None]
+    mine = np.zeros((count, len(steps), *values.shape))
+    for c in range(count):
+        mine[c, :, c] = change[:, c]
     rest = []
     for s in range(len(simulator.shared)):
         moved = state.shared.copy()
         moved[s] += simulator.shared.step[s]
         rest.append(((simulator.predict(state.own, moved, state.terms) - values) / simulator.shared.step[s])[None])
-    return np.concatenate([mine, *rest])
+    return np.concatenate([mine.reshape(-1, *values.shape), *rest])
 
 
 def of_terms(simulator: Simulator, state: State, values: Array) -> Array:
@@ -314,25 +314,18 @@ def _advanced(term: Term, part: str, by: Any) -> Term:
     return Term(hypothesis, term.amplitude, {**term.setting, part: value})
 
 
-def penalties(simulator: Simulator, state: State) -> Array:
-    """1 / sd^2 of every coordinate."""
-    count = len(simulator.channels)
-    found = [np.tile(simulator.own.sd**-2.0, count), simulator.shared.sd**-2.0]
+def _prior(simulator: Simulator, state: State) -> tuple[Array, Array]:
+    """1 / sd^2 of every coordinate, and the coordinates less their means."""
+    own, shared, count = simulator.own, simulator.shared, len(simulator.channels)
+    penalty = [np.tile(own.sd**-2.0, count), shared.sd**-2.0]
+    offset = [(state.own - own.mean).ravel(), state.shared - shared.mean]
     for term in state.terms:
         for part, width in parts(term, count):
             sd = shape_of(term, part).sd if part else term.hypothesis.width
-            found.append(np.full(width, sd**-2.0))
-    return np.concatenate(found)
-
-
-def _offsets(simulator: Simulator, state: State) -> Array:
-    """Coordinates less the means of their priors."""
-    found = [(state.own - simulator.own.mean).ravel(), state.shared - simulator.shared.mean]
-    for term in state.terms:
-        for part, width in parts(term, len(simulator.channels)):
             value = np.log(term.setting[part] / _middle(term, part)) if part else term.amplitude
-            found.append(np.broadcast_to(value, (width,)))
-    return np.concatenate(found)
+            penalty.append(np.full(width, sd**-2.0))
+            offset.append(np.broadcast_to(value, (width,)))
+    return np.concatenate(penalty), np.concatenate(offset)
 
 
 def _middle(term: Term, part: str) -> float:

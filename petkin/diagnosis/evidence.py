@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 _WEAKEST, _STRONGEST = 0.8, 80.0
 _Z = np.geomspace(_WEAKEST, _STRONGEST, 401)
 _T = np.linspace(-12.0, 70.0, 1641)
+_STEP = float(_T[1] - _T[0])
 #: ln int exp(-(z - t)^2 / 2) w(z): what remains of exp(t^2 / 2) after averaging.
 _OCCAM = np.log(np.trapezoid(np.exp(-0.5 * (_Z[:, None] - _T[None]) ** 2), dx=1.0 / (len(_Z) - 1), axis=0) + 1e-300)
 #: What a second cause costs in log evidence: most gaps have one cause. Set on training scans.
@@ -30,12 +32,14 @@ _WIDTHS = np.geomspace(0.5, 40.0, 8)
 
 def one_sided(t: Array) -> Array:
     """log B(t) of an amplitude that is positive or absent."""
-    return 0.5 * np.square(t) + np.interp(t, _T, _OCCAM)
+    t = np.asarray(t, np.float64)
+    return _one_sided(t.ravel(), _OCCAM).reshape(t.shape)
 
 
 def two_sided(t: Array) -> Array:
     """log B(t) of an amplitude of either sign."""
-    return np.logaddexp(one_sided(t), one_sided(-np.asarray(t))) - np.log(2.0)
+    t = np.asarray(t, np.float64)
+    return _two_sided(t.ravel(), _OCCAM).reshape(t.shape)
 
 
 def mean(logs: Array, axis: int = -1) -> Array:
@@ -71,14 +75,68 @@ class Spread:
 
     def together(self, score: Array) -> Array:
         """log B for G'Pr: (*batch, ..., n) to (*batch, ...)."""
-        turned = np.einsum("...i,...ij->...j", score, self.axes) ** 2
-        variance = (_WIDTHS**2 / self.size.mean(axis=-1)[..., None])[..., None]
-        grown = 1.0 + variance * self.size[..., None, :]
-        parts = np.einsum("...j,...wj->...w", turned, variance / grown) - np.log(grown).sum(axis=-1)
-        return mean(0.5 * parts)
+        count = self.size.shape[-1]
+        size, axes = self.size.reshape(-1, count), self.axes.reshape(-1, count, count)
+        scores = score.reshape(-1, *size.shape)
+        return _together(*map(np.ascontiguousarray, (scores, size, axes))).reshape(score.shape[:-1])
 
     def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool) -> Array:
         """The same of amplitudes that differ between channels: all of them, or one alone; one for all where alike."""
         lone = mean(two_sided(score / np.sqrt(self.diagonal)))
         one = two_sided(score.sum(axis=-1) / np.sqrt(self.total))
         return np.logaddexp(self.together(score), np.where(alike, one, lone)) - np.log(2.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _averaged(t, occam):
+    """log B(t), what remains of exp(t^2 / 2) read between the even steps of its table."""
+    place = (t - _T[0]) / _STEP
+    i = min(max(int(place), 0), occam.size - 2)
+    return 0.5 * t * t + occam[i] + min(max(place - i, 0.0), 1.0) * (occam[i + 1] - occam[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _one_sided(t, occam):
+    found = np.empty_like(t)
+    for i in range(t.size):
+        found[i] = _averaged(t[i], occam)
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _two_sided(t, occam):
+    found = np.empty_like(t)
+    for i in range(t.size):
+        more, less = _averaged(abs(t[i]), occam), _averaged(-abs(t[i]), occam)
+        found[i] = more + np.log1p(np.exp(less - more)) - np.log(2.0)
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _together(score, size, axes):
+    """log B of every draw and every effect (draws, effects), averaged over the widths."""
+    draws, effects, count = score.shape
+    found = np.empty((draws, effects))
+    share, volume, parts = np.empty((_WIDTHS.size, count)), np.empty(_WIDTHS.size), np.empty(_WIDTHS.size)
+    for e in range(effects):
+        for w in range(_WIDTHS.size):
+            variance, volume[w] = _WIDTHS[w] ** 2 / size[e].mean(), 0.0
+            for j in range(count):
+                grown = 1.0 + variance * size[e, j]
+                share[w, j] = variance / grown
+                volume[w] += np.log(grown)
+        for b in range(draws):
+            for w in range(_WIDTHS.size):
+                parts[w] = -volume[w]
+            for j in range(count):
+                turned = 0.0
+                for i in range(count):
+                    turned += score[b, e, i] * axes[e, i, j]
+                for w in range(_WIDTHS.size):
+                    parts[w] += turned * turned * share[w, j]
+            top = parts.max()
+            total = 0.0
+            for w in range(_WIDTHS.size):
+                total += np.exp(0.5 * (parts[w] - top))
+            found[b, e] = 0.5 * top + np.log(total / _WIDTHS.size)
+    return found

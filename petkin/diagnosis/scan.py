@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -102,10 +102,23 @@ class Scan:
             mine = np.stack([scores[..., self._places[i]] for i in self._by_channel], axis=-2)
             alike = np.array([self.templates[i].hypothesis.alike for i in self._by_channel])
             found[..., self._by_channel] = self._spread.by_channel(mine, alike)
-        for i, (template, place) in enumerate(zip(self.templates, self._places)):
-            if not template.hypothesis.by_channel:
-                found[..., i] = _evidence(template.hypothesis, scores[..., place], self._information[i])
+        for kind, templates in self._alone.items():
+            found[..., templates.which] = kind(scores[..., templates.columns], templates.information)
         return found
+
+    @cached_property
+    def _alone(self) -> dict[Callable[[Array, Array], Array], _Alone]:
+        """Templates that have one amplitude or none, by how their evidence is told."""
+        which: dict[Callable[[Array, Array], Array], list[int]] = {}
+        for i, template in enumerate(self.templates):
+            if not template.hypothesis.by_channel:
+                which.setdefault(_evidence(template.hypothesis), []).append(i)
+        return {kind: self._of(members) for kind, members in which.items()}
+
+    def _of(self, members: list[int]) -> _Alone:
+        known = [0.0 if (h := self.templates[i].hypothesis).flag else h.width**-2.0 for i in members]
+        information = np.array([self._information[i][0, 0] for i in members]) + known
+        return _Alone(np.array(members), np.array([self._places[i].start for i in members]), information)
 
     @cached_property
     def _by_channel(self) -> list[int]:
@@ -148,11 +161,32 @@ class Scan:
         return evidence.mean(np.stack(found), 0)
 
 
-def _evidence(hypothesis: Hypothesis, score: Array, information: Array) -> Array:
+@dataclass(frozen=True)
+class _Alone:
+    """Templates of one amplitude: which, where their columns stand, and what data and prior tell of it."""
+
+    which: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    information: Array
+
+
+def _evidence(hypothesis: Hypothesis) -> Callable[[Array, Array], Array]:
+    """How scores (..., m) and the information on them (m,) give log evidence."""
     if hypothesis.flag:
-        return score[..., 0] - 0.5 * information[0, 0]
-    t = score[..., 0] / np.sqrt(information[0, 0] + hypothesis.width**-2.0)
-    return evidence.two_sided(t) if hypothesis.signed else evidence.one_sided(t)
+        return _of_flags
+    return _of_signed if hypothesis.signed else _of_positive
+
+
+def _of_flags(score: Array, information: Array) -> Array:
+    return score - 0.5 * information
+
+
+def _of_signed(score: Array, information: Array) -> Array:
+    return evidence.two_sided(score / np.sqrt(information))
+
+
+def _of_positive(score: Array, information: Array) -> Array:
+    return evidence.one_sided(score / np.sqrt(information))
 
 
 def starts(scan: Scan, residual: Array, each: Array, name: str, most: int = 1) -> list[Term]:

@@ -96,6 +96,18 @@ def test_evidence_of_many_amplitudes_is_a_ratio_of_normals() -> None:
     assert float(evidence.Spread.of(information).together(G.T @ y)) == pytest.approx(float(expected), rel=1e-9)
 
 
+def test_evidence_of_many_at_once_is_that_of_each() -> None:
+    rng = np.random.default_rng(14)
+    G, scores = rng.standard_normal((2, 9, 3)), rng.standard_normal((4, 2, 3)) * 5
+    information = G.transpose(0, 2, 1) @ G
+    each = [[float(evidence.Spread.of(i).together(s)) for i, s in zip(information, row)] for row in scores]
+    np.testing.assert_allclose(evidence.Spread.of(information).together(scores), each, rtol=1e-12)
+    t = np.array([[-90.0, -12.0, -3.1], [0.0, 70.0, 95.0]])
+    both = np.logaddexp(evidence.one_sided(t), evidence.one_sided(-t)) - np.log(2.0)
+    np.testing.assert_allclose(evidence.two_sided(t), both, rtol=1e-12)
+    assert evidence.one_sided(t)[1, 1] == pytest.approx(0.5 * 70.0**2 + evidence._OCCAM[-1])
+
+
 def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
     rng = np.random.default_rng(5)
     noise = Noise(np.ones((5, 36)), np.ones(5), 0.4)

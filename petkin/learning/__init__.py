@@ -1,6 +1,8 @@
 """Learning: tissue known in part, identified by the hybrid engine from frames under known inputs."""
 
 from petkin.learning.errors import SHARES, curve_errors, predict
+from petkin.learning.flux import Course, Read, Reader, Scene, lacking
+from petkin.learning.members import Members, open_members
 from petkin.learning.population import PAPER, Population, draw
 from petkin.learning.prior import Curves, Keep, TissuePrior, identify, learn
 from petkin.learning.responses import Known, Responses
@@ -24,14 +26,19 @@ __all__ = [
     "RESIDUALS",
     "SHARES",
     "Conditions",
+    "Course",
     "Curves",
     "Identified",
     "Keep",
     "Known",
     "Mapped",
     "Measured",
+    "Members",
     "Population",
+    "Read",
+    "Reader",
     "Responses",
+    "Scene",
     "TissuePrior",
     "conditions_of",
     "curve_errors",
@@ -40,7 +47,9 @@ __all__ = [
     "identify",
     "identify_scan",
     "identify_voxels",
+    "lacking",
     "learn",
+    "open_members",
     "predict",
     "tissue_model",
     "tissue_task",

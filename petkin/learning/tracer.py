@@ -28,7 +28,7 @@ from petkin.learning.tissue import Conditions, tissue_task
 #: Mean of a scan's curves after scaling: the scale of f_NN.
 LEVEL = 10.0
 #: Largest sum of rates that is tabulated, 1/min.
-_HIGHEST = 2.0
+HIGHEST = 2.0
 #: c_p unless the card says otherwise.
 BOUNDS = {"K1": (0.0, 1.0), "k2": (0.0, 1.0), "vB": (0.0, 0.2)}
 KIND = "tissue of one compartment and what it lacks"
@@ -117,7 +117,7 @@ def conditions_of(scans: Sequence[Measured]) -> Conditions:
     Raises:
         InputError: they have not.
     """
-    return Conditions.of([scan.known for scan in scans], torch.eye(len(scans)), highest=_HIGHEST)
+    return Conditions.of([scan.known for scan in scans], torch.eye(len(scans)), highest=HIGHEST)
 
 
 def drawn_curves(population: Population, subjects: int, seed: int) -> tuple[Conditions, Curves]:
@@ -129,7 +129,7 @@ def drawn_curves(population: Population, subjects: int, seed: int) -> tuple[Cond
         seed: of the draw.
     """
     conditions = Conditions.of(
-        [Known(u, u, population.observation) for u in population.inputs], population.told, highest=_HIGHEST
+        [Known(u, u, population.observation) for u in population.inputs], population.told, highest=HIGHEST
     )
     _, measured = draw(population, subjects, 1, seed)
     values, amounts = measured.states[:, 0, :, 1], measured.states[:, 0, 0, 2:]
@@ -170,7 +170,7 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
         InputError: no such checkpoint, another kind of one, one not trained to its end, or of another radionuclide.
     """
     tensors, card = load_tensors(path)
-    _check(path, card, half_life)
+    require_tracer(path, card, half_life)
     conditions = conditions_of([scan])
     prior, curves = restored(tensors, card, conditions), together([scan])
     u = identify(prior, curves, _IDENTIFY)
@@ -187,7 +187,7 @@ def identify_scan(path: Path, scan: Measured, *, half_life: float) -> Identified
         back * tissue,
         back * learned,
         back**2 * prior.misfit(u, curves).detach() / curves.weights.count_nonzero(dim=1),
-        (*_beyond(card, scan, curves), _said_of_trial(card)),
+        (*beyond(card, scan), _said_of_trial(card)),
     )
 
 
@@ -221,7 +221,7 @@ def identify_voxels(path: Path, scan: Measured, *, half_life: float, level: floa
         InputError: as `identify_scan`.
     """
     tensors, card = load_tensors(path)
-    _check(path, card, half_life)
+    require_tracer(path, card, half_life)
     conditions, scale = conditions_of([scan]), LEVEL / level
     drawn = draw_ensemble(restored(tensors, card, conditions), conditions, scale, scan.weights)
     found, errors, misfit = posterior(drawn, scale * scan.values)
@@ -285,7 +285,12 @@ def _said_of_trial(card: Mapping[str, Any]) -> str:
     return f"Median error on unseen tissue of its own population: {', '.join(parts)}; standard errors are no smaller."
 
 
-def _check(path: Path, card: Mapping[str, Any], half_life: float) -> None:
+def require_tracer(path: Path, card: Mapping[str, Any], half_life: float) -> None:
+    """Whether a checkpoint is one of `petkin train`, finished, and of this radionuclide.
+
+    Raises:
+        InputError: it is not.
+    """
     if card.get("kind") != KIND:
         raise InputError(f"{path}: a checkpoint, but not one of petkin train.")
     if card["step"] < card["steps"]:
@@ -297,8 +302,9 @@ def _check(path: Path, card: Mapping[str, Any], half_life: float) -> None:
         )
 
 
-def _beyond(card: Mapping[str, Any], scan: Measured, curves: Curves) -> tuple[str, ...]:
-    highest = float(curves.values.max())
+def beyond(card: Mapping[str, Any], scan: Measured) -> tuple[str, ...]:
+    """What of a scan lies outside of what a checkpoint was learned from, a sentence each."""
+    highest = scan.scale * float(scan.values.max())
     if highest <= (1.0 + _BEYOND) * card["highest"]:
         return _longer(card, scan)
     return (

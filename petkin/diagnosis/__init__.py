@@ -1,14 +1,16 @@
 """Diagnosis: where a simulator departs from data, which effect it misses, and how far that closes the gap."""
 
+from petkin.diagnosis.alone import each_alone
 from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
 from petkin.diagnosis.contrasts import Contrasted, Family, Pattern, judge_contrasts
 from petkin.diagnosis.design import Visible, indistinct
-from petkin.diagnosis.diagnose import CLAIM, diagnose, foresee_design
+from petkin.diagnosis.diagnose import CLAIM, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
 from petkin.diagnosis.noise import Noise, second_differences
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import smallest_set
+from petkin.diagnosis.state_map import StateMap, Witness, map_states
 from petkin.diagnosis.unknown import DRIVE, ONE
 from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate
 
@@ -32,14 +34,19 @@ __all__ = [
     "SharedCause",
     "Simulator",
     "State",
+    "StateMap",
     "Term",
     "Visible",
+    "Witness",
     "base_fit",
     "diagnose",
+    "draws_left",
+    "each_alone",
     "foresee_design",
     "in_common",
     "indistinct",
     "judge_contrasts",
+    "map_states",
     "of_nuisance",
     "second_differences",
     "smallest_set",

@@ -83,13 +83,32 @@ def diagnose(
     base, noise, bases, loose = base_fit(simulator, data)
     progress("looking at every effect", 0.2)
     scan = scan_of(simulator, noise, base, hypotheses)
-    drawn = noise_draws(rng, draws, noise, tail_freedom(loose), bases, levels(base.values, noise.spread))
-    drawn = scan.projection.left(drawn, scan.projection.priors(rng, draws, base))
+    drawn = draws_left(rng, draws, (base, noise, bases, loose), scan.projection)
     p = p_value(float(scan.statistic(base.residual)), scan.statistic(drawn))
     progress("refitting the likely ones", 0.4)
     explained = _explained(simulator, data, _Explained(noise, base, scan, []), always)
     progress("weighing", 0.8)
     return _verdict(simulator, data, explained, hypotheses, p, drawn)
+
+
+def draws_left(
+    rng: np.random.Generator,
+    count: int,
+    based: tuple[Fit, Noise, list[Array], Array],
+    projection: Projection | None = None,
+) -> Array:
+    """What the refit leaves of whitened draws of noise (count, C K).
+
+    Args:
+        rng: randomness.
+        count: draws.
+        based: what `base_fit` found.
+        projection: of its fit, where it is known.
+    """
+    base, noise, bases, loose = based
+    projection = Projection.of_fit(base) if projection is None else projection
+    drawn = noise_draws(rng, count, noise, tail_freedom(loose), bases, levels(base.values, noise.spread))
+    return projection.left(drawn, projection.priors(rng, count, base))
 
 
 def foresee_design(simulator: Simulator, data: Array, hypotheses: Sequence[Hypothesis]) -> tuple[Visible, ...]:

@@ -52,6 +52,11 @@ class Noise:
         """Values (..., C, K) in units in which noise is white, flattened to (..., C K)."""
         return (self.mixing @ (values / self._scale)).reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
 
+    def coloured(self, white: Array) -> Array:
+        """What `whiten` makes into these (..., C K): values (..., C, K)."""
+        each = white.reshape(*white.shape[:-1], *self.spread.shape)
+        return self.size[:, None] * self.spread * np.linalg.solve(self.mixing, each)
+
 
 def inverse_root(count: int, share: Array) -> Array:
     """R^{-1/2} for every share (..., C, C), by the two eigenvalues of R."""

@@ -39,6 +39,14 @@ def diagnose(
         str | None,
         typer.Option(help="Which segmentation or table of curves, by its seg- label.", rich_help_panel=_INPUT),
     ] = None,
+    checkpoint: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="What petkin train learned, of five or more values of its --seed; repeatable. Together they map what "
+            "the law of one tissue compartment (--model 1tcm) lacks, against time and against C_T, region by region.",
+            rich_help_panel=_SIMULATOR,
+        ),
+    ] = None,
     design: Annotated[
         bool,
         typer.Option("--design", help="Only print what these frames, regions and blood could tell apart."),
@@ -70,6 +78,7 @@ def diagnose(
         sessions=labels(session, "ses-"),
         seg=seg,
         out=out,
+        checkpoints=tuple(checkpoint or ()),
         seed=seed,
         command_line=typed_command(),
     )

@@ -144,6 +144,29 @@ def tacs_sidecar(shared: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def states_sidecar(shared: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON of what a law of tissue lacks, by region and frame."""
+    flux = {"Units": "kBq mL-1 min-1"}
+    return {
+        "Description": "What dC_T/dt has beside K1 C_P - k2 C_T, both refitted, as learned residuals say",
+        "region": {"Description": "name of the region"},
+        "frame_start": {"Description": "start of the frame from time zero", "Units": "s"},
+        "frame_end": {"Description": "end of the frame from time zero", "Units": "s"},
+        "C_T": {"Description": "state: mean over the frame of activity in tissue", "Units": "kBq/mL"},
+        "flux": {"Description": "what is missing of its derivative, mean over the frame and the members", **flux},
+        "low": {
+            "Description": "lower end of a band that holds 95 % of what members say, in all cells at once",
+            **flux,
+        },
+        "high": {"Description": "upper end of that band", **flux},
+        "claimed": {
+            "Description": "whether something is missing here; without a gap 5 % of scans have a claim or more",
+            "Levels": {"0": "no claim", "1": "band excludes nought, and the curves ask for it"},
+        },
+        **shared,
+    }
+
+
 def inputfunction_sidecar(shared: Mapping[str, Any]) -> dict[str, Any]:
     """JSON of an input function."""
     activity = {"Units": "kBq/mL"}

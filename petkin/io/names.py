@@ -102,6 +102,11 @@ def report_path(scan: Mapping[str, str], *, desc: str, model: str = "", extensio
     return _path(scan, f"report{extension}", model=model, desc=desc)
 
 
+def states_path(scan: Mapping[str, str]) -> PurePosixPath:
+    """What a diagnosis finds missing in a law, by region and frame: `<scan>_desc-state_gap.tsv`."""
+    return _path(scan, "gap.tsv", desc="state")
+
+
 def cohort_report_path(*, desc: str, extension: str = ".html") -> PurePosixPath:
     """Report on all scans, at the root of the derivatives: `group_desc-<what>_report.html`."""
     return PurePosixPath(f"group_desc-{label(desc, entity='desc')}_report{extension}")

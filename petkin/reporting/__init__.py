@@ -12,6 +12,7 @@ from petkin.reporting.contents import (
 from petkin.reporting.gap_report import GapReport, render_gap_report
 from petkin.reporting.html import render_fit_report, write_fit_report
 from petkin.reporting.input_curves import BloodSamples, InputCurves, curve_times
+from petkin.reporting.state_figures import LackingTerm
 
 __all__ = [
     "BloodSamples",
@@ -19,6 +20,7 @@ __all__ = [
     "FitReport",
     "GapReport",
     "InputCurves",
+    "LackingTerm",
     "MapSet",
     "ModelSection",
     "ParameterMap",

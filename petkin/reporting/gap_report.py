@@ -13,6 +13,7 @@ from petkin.reporting.canvas import square_root_time as spread_early
 from petkin.reporting.contents import MapSet, RegionCurves
 from petkin.reporting.html import environment
 from petkin.reporting.map_figures import signed_picture
+from petkin.reporting.state_figures import LackingTerm, state_pictures
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,7 @@ class GapReport:
         alike: pairs of causes and their cosine.
         visible: every hypothesis with d' at the end of its range, share kept by the refit, and its likeliest double.
         gap_map: z of every voxel; None without an image.
+        lacking: what learned residuals find missing; None where none were given.
         shown: effects that the sidecar itself speaks for, and why.
         scan: label and value.
         warnings: what was odd about the files.
@@ -53,6 +55,7 @@ class GapReport:
     visible: tuple[tuple[str, float, float, tuple[tuple[str, float], ...]], ...]
     shown: tuple[tuple[str, str], ...]
     gap_map: MapSet | None
+    lacking: LackingTerm | None
     scan: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
     command_line: str
@@ -66,6 +69,7 @@ def render_gap_report(report: GapReport) -> str:
             heat.append(_heat(report, report.residual_after, "after"))
         pictures = [_curve(report, r) for r in _most_changed(report)]
         brain = None if report.gap_map is None else _brain(report.gap_map)
+        states = [] if report.lacking is None else state_pictures(report.lacking)
         bars = _bars(report) if report.answer["causes"] else None
         return (
             environment()
@@ -77,6 +81,7 @@ def render_gap_report(report: GapReport) -> str:
                 curves=pictures,
                 bars=bars,
                 brain=brain,
+                states=states,
                 grade=_grade(report.answer),
             )
         )

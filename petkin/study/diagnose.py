@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from petkin.io import (
     write_text,
 )
 from petkin.io.names import cohort_report_path, map_path, report_path
+from petkin.learning import Members, open_members
 from petkin.reporting import (
     CohortReport,
     GapReport,
@@ -44,6 +46,8 @@ from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
 from petkin.study.diagnosis.sidecar import Blunder, blunders
+from petkin.study.diagnosis.state import StatesRead, read_states
+from petkin.study.diagnosis.state_files import drawn_states, write_states
 from petkin.study.fit_report import directions
 from petkin.study.fit_scan import Progress
 from petkin.study.outputs import require_own_folder, write_study_description
@@ -82,16 +86,17 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
     progress("reading", 0.0)
     name, out, sources = sources_of(request)
     require_own_folder(out)
+    members = _members(request, sources)
     scans = [(source, *prepared(source, request)) for source in sources]
     written: list[Diagnosed] = []
-    members: list[Member] = []
+    cohort: list[Member] = []
     for i, (source, curves, simulator) in enumerate(scans):
 
         def here(step: str, done: float, i: int = i, label: str = source.label) -> None:
             progress(f"{label}: {step}", (i + done) / len(scans))
 
         started = time.process_time()
-        one = _diagnosed(source, curves, simulator, request, here)
+        one = _diagnosed(source, curves, simulator, request, members, here)
         seconds = time.process_time() - started
         text = answer(
             one.found,
@@ -101,6 +106,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             seed=request.seed,
             seconds=round(seconds, 2),
             shown=one.shown,
+            states=one.states,
         )
         report = _report(source, curves, simulator, one, text, request)
         relative = report_path(source.entities, desc="gap")
@@ -111,35 +117,59 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             if one.gap is not None and source.image is not None:
                 path = map_path(source.entities, simulator.label, desc="gapz")
                 write_map(folder.path(path), one.gap, source.image.affine, gap_map_sidecar(one.found))
+            if one.states is not None:
+                write_states(folder, source, one.states, request)
         written.append(Diagnosed(source.label, text, out / relative))
-        members.append(Member.of(source.label, one.found))
-    if len(members) > 1:
-        written.append(_cohort(members, written, out, name, request))
+        cohort.append(Member.of(source.label, one.found))
+    if len(cohort) > 1:
+        written.append(_cohort(cohort, written, out, name, request))
     progress("done", 1.0)
     return tuple(written)
 
 
+def _members(request: DiagnoseRequest, sources: tuple[Source, ...]) -> Members | None:
+    """The ensemble that was asked for, which fits every scan.
+
+    Raises:
+        InputError: it cannot be read, or is of another radionuclide.
+    """
+    if not request.checkpoints:
+        return None
+    members = open_members(request.checkpoints)
+    for source in sources:
+        members.require(math.log(2.0) / source.decay)
+    return members
+
+
 @dataclass(frozen=True)
 class _One:
-    """A scan's diagnosis, what its sidecar shows, and the gap voxel by voxel where there is an image."""
+    """A scan's diagnosis, what its sidecar shows, the gap by voxel where there is an image, and the state map."""
 
     found: Diagnosis
     shown: tuple[Blunder, ...]
     gap: NDArray[np.float32] | None
+    states: StatesRead | None
 
 
 def _diagnosed(
-    source: Source, curves: RegionalCurves, simulator: RegionalSimulator, request: DiagnoseRequest, progress: Progress
+    source: Source,
+    curves: RegionalCurves,
+    simulator: RegionalSimulator,
+    request: DiagnoseRequest,
+    members: Members | None,
+    progress: Progress,
 ) -> _One:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-    scatter, simulator, (fit, *_) = _law_of_noise(simulator, curves, request)
+    scatter, simulator, based = _law_of_noise(simulator, curves, request)
+    fit = based[0]
     candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
     progress("looking at the image", 0.0)
     picture, imaged = picture_of(source, simulator, fit), None
     if picture is not None:
         simulator = replace(simulator, grain=picture.grain.of_means())
-        fit, *_ = base_fit(simulator, curves.values)
+        based = base_fit(simulator, curves.values)
+        fit = based[0]
         names = frozenset(h.name for h in candidates)
         imaged = look_at_image(picture, simulator, fit, names, seed=request.seed)
     seen = imaged.log_odds if imaged is not None else {}
@@ -157,9 +187,11 @@ def _diagnosed(
     if imaged is not None and imaged.looked is not None:
         found = weighed(found, imaged.looked)
     found = found if scatter is None else scattered(found, scatter)
-    if imaged is None:
-        return _One(found, shown, None)
-    return _One(found, shown, gap_map(imaged.voxels, found, simulator.clock))
+    gap = None if imaged is None else gap_map(imaged.voxels, found, simulator.clock)
+    states = None
+    if members is not None:
+        states = read_states(members, simulator, curves.values, based, candidates, seed=request.seed, progress=progress)
+    return _One(found, shown, gap, states)
 
 
 def _law_of_noise(
@@ -301,10 +333,17 @@ def _report(
         visible=tuple((v.hypothesis.name, v.detectability, v.kept, v.partners[:1]) for v in found.visible),
         shown=tuple((b.effect, b.why) for b in one.shown),
         gap_map=_gap_map(source, one),
+        lacking=drawn_states(one.states),
         scan=source.facts,
-        warnings=tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks])),
+        warnings=_warnings(source, simulator, one),
         command_line=request.command_line,
     )
+
+
+def _warnings(source: Source, simulator: RegionalSimulator, one: _One) -> tuple[str, ...]:
+    """What was odd about the files, and what hybrids have not seen; each once."""
+    unseen = () if one.states is None else one.states.remarks
+    return tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks, *unseen]))
 
 
 def _gap_map(source: Source, one: _One) -> MapSet | None:

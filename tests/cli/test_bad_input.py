@@ -363,3 +363,12 @@ def test_usage_errors_have_no_traceback(study: Path, petkin_process: Command) ->
     assert ran.status == 2
     assert "--modle" in ran.err
     assert "Traceback" not in ran.err
+
+
+def test_an_ensemble_of_hybrids_is_whole_or_refused(study: Path, petkin_command: Command) -> None:
+    ask: list[object] = ["diagnose", study, "--model", "1tcm"]
+    few = [*ask, "--checkpoint", "a.safetensors", "--checkpoint", "b.safetensors"]
+    refused_and_unchanged(petkin_command, study, few, "2 of at least 5")
+    text = [word for _ in range(5) for word in ("--checkpoint", study / SIDECAR_FILE)]
+    refused_and_unchanged(petkin_command, study, [*ask, *text], "not a checkpoint of petkin")
+    refused_and_unchanged(petkin_command, study, ["diagnose", study, *text], "use --model 1tcm")

@@ -14,6 +14,8 @@ from petkin.effects import effect_named
 from petkin.kinetics import compartment_model
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
 from petkin.study.diagnosis.sidecar import Blunder
+from petkin.study.diagnosis.state import StatesRead
+from petkin.study.diagnosis.state_table import state_entry
 from petkin.units import SECONDS_PER_MINUTE
 
 Array = NDArray[np.float64]
@@ -40,8 +42,12 @@ def answer(
     seed: int,
     seconds: float,
     shown: tuple[Blunder, ...] = (),
+    states: StatesRead | None = None,
 ) -> dict[str, Any]:
-    """The whole answer, ready to be written; `shown` is what the sidecar tells without any curve."""
+    """The whole answer, ready to be written.
+
+    `shown` is what the sidecar tells without any curve, `states` what learned residuals find missing.
+    """
     return rounded(
         {
             "schema": SCHEMA,
@@ -54,7 +60,7 @@ def answer(
                 "noise_floor": 1.0,
                 "frame_common_share": found.noise.share,
             },
-            "where": _where(found, simulator),
+            "where": _where(found, simulator, states),
             "causes": [_cause(cause) for cause in found.causes],
             "verdict": {
                 "kind": found.kind,
@@ -70,7 +76,7 @@ def answer(
     )
 
 
-def _where(found: Diagnosis, simulator: RegionalSimulator) -> dict[str, Any]:
+def _where(found: Diagnosis, simulator: RegionalSimulator, states: StatesRead | None) -> dict[str, Any]:
     frames = simulator.clock.frames
     regions = zip(found.channels, found.regions.q_values, found.regions.shares)
     return {
@@ -86,7 +92,7 @@ def _where(found: Diagnosis, simulator: RegionalSimulator) -> dict[str, Any]:
             for k, q in enumerate(found.frames.q_values)
         ],
         "onset_frame": onset_frame(found, simulator),
-        "state": _state(found),
+        "state": [*_state(found), *(state_entry(states) if found.present else ())],
     }
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 
 from petkin.effects import EFFECTS, Effect, effect_named
 from petkin.errors import InputError
-from petkin.kinetics import MODELS, CompartmentModel
+from petkin.kinetics import MODELS, ONE_TISSUE, CompartmentModel
 
 #: Effects that can be included or taken out.
 NAMES = tuple(effect.name for effect in EFFECTS)
+#: Fewer trainings than these say little of how trainings differ.
+FEWEST_MEMBERS = 5
 #: What a simulator of this name has in it already.
 _IMPLIED = {"2TCM": "second_tissue", "2TCM3k": "second_tissue"}
 
@@ -27,6 +29,7 @@ class DiagnoseRequest:
         subjects, sessions: labels; empty for all.
         seg: which segmentation or table of curves.
         out: folder for the results; None: `derivatives/petkin` of the study.
+        checkpoints: of `petkin train`, an ensemble that maps what the law of the tissue lacks; none for no such map.
         seed: of the draws of noise.
         command_line: what was typed.
     """
@@ -39,6 +42,7 @@ class DiagnoseRequest:
     sessions: tuple[str, ...] = ()
     seg: str | None = None
     out: Path | None = None
+    checkpoints: tuple[Path, ...] = ()
     seed: int = 0
     command_line: str = ""
 
@@ -55,6 +59,30 @@ class DiagnoseRequest:
         implied = _IMPLIED.get(self.compartments.label)
         if implied in self.include:
             raise InputError(f"--include {implied}: model {self.compartments.label} has it already; use --model 1tcm.")
+
+        if self.checkpoints:
+            self._check_ensemble()
+
+    def _check_ensemble(self) -> None:
+        """Raises:
+        InputError: a simulator that hybrids do not extend, or too few of them.
+        """
+        if self.compartments is not ONE_TISSUE:
+            raise InputError(
+                f"--checkpoint: hybrids are one tissue compartment and what it lacks, the simulator is "
+                f"{self.compartments.label}; use --model 1tcm."
+            )
+        tissue = [effect.name for effect in self.included if effect.stage == "tissue"]
+        if tissue:
+            raise InputError(
+                f"--include {tissue[0]}: beside --checkpoint, whose hybrids find what one tissue compartment lacks, "
+                "tissue has nothing else; leave it out."
+            )
+        if len(self.checkpoints) < FEWEST_MEMBERS:
+            raise InputError(
+                f"--checkpoint: {len(self.checkpoints)} of at least {FEWEST_MEMBERS}; bands of fewer would hold the "
+                "noise of the scan but hardly how trainings differ: give petkin train other values of --seed."
+            )
 
     @property
     def compartments(self) -> CompartmentModel:

@@ -121,7 +121,7 @@ def test_members_differ_by_their_seed_alone(checkpoint, tmp_path) -> None:
         open_members([checkpoint, other])
     moved = {name: value + 1e-3 for name, value in tensors.items()}
     save_tensors(other, moved, {**card, "seed": 1, "residual": "C_T"})
-    with pytest.raises(InputError, match="trained otherwise than .*residual is not the same"):
+    with pytest.raises(InputError, match=r"trained otherwise than .*residual is not the same"):
         open_members([checkpoint, other])
     save_tensors(other, moved, {**card, "seed": 1, "highest": 3.0})
     members = open_members([checkpoint, other])

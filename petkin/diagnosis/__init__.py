@@ -9,12 +9,13 @@ from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, T
 from petkin.diagnosis.noise import Noise, second_differences
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
-from petkin.diagnosis.sets import smallest_set
+from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states
 from petkin.diagnosis.unknown import DRIVE, ONE
 from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate
 
 __all__ = [
+    "ALIKE",
     "CLAIM",
     "DRIVE",
     "ONE",

@@ -29,7 +29,7 @@ from petkin.diagnosis.refit import Fit
 Array = NDArray[np.float64]
 
 #: Where a discrepancy is: in all channels alike, in each for itself, both, in one alone; or in what drives them all.
-ALIKE, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
+ALL, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 12, 0.5
 #: Scales of time on which a discrepancy is smooth, and how far beyond the samples it goes on, in shares of their span.
@@ -115,8 +115,8 @@ def _groups(channels: int) -> dict[str, NDArray[np.intp]]:
     every = np.arange(_COUNT * (1 + channels))
     common, alone = every[None, :_COUNT], every[None, _COUNT:]
     if channels == 1:
-        return {ALIKE: common}
-    return {ALIKE: common, EACH: alone, BOTH: every[None], ONE: alone.reshape(_COUNT, channels).T}
+        return {ALL: common}
+    return {ALL: common, EACH: alone, BOTH: every[None], ONE: alone.reshape(_COUNT, channels).T}
 
 
 def _cosines(scale: Callable[[Array], Array], samples: Array, times: Array) -> Array:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin_bench.withheld.cases import BINS
 from petkin_bench.withheld.causes import KNOWN
+from petkin_bench.withheld.making import BINS
 from petkin_bench.withheld.noise import KINDS
 
 Array = NDArray[np.float64]

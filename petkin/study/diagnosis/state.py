@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from petkin.diagnosis import (
+    ALIKE,
     Fit,
     Hypothesis,
     Noise,
@@ -47,8 +48,8 @@ _NO_DECAY = 1e-6
 _ROOM = "second_tissue"
 #: Errors below this share of f's root mean square weigh no more in a cosine: before the tracer is there, nothing errs.
 _LEAST_ERROR = 0.05
-#: A cosine from which on two courses are alike, and one below which nothing is said to be near.
-ALIKE, NEAR = 0.95, 0.5
+#: A cosine below which nothing is said to be near.
+NEAR = 0.5
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from petkin import __version__
+from petkin.diagnosis import ALIKE
 from petkin.io import descriptions
-from petkin.study.diagnosis.state import ALIKE, NEAR, StatesRead
+from petkin.study.diagnosis.state import NEAR, StatesRead
 from petkin.units import SECONDS_PER_MINUTE
 
 _EQUATION = "dC_T/dt = K1 C_P - k2 C_T + flux"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from petkin.imaging import FrameSchedule
 from petkin.study.diagnosis.picture import Picture, Voxels
-from petkin.study.diagnosis.spatial import _slope
+from petkin.study.diagnosis.spatial import _courses, _Scene, _slope
 from petkin.study.diagnosis.voxel_noise import VoxelNoise
 
 REGIONS, FRAMES, EACH = 3, 8, 30
@@ -53,3 +54,43 @@ def test_slopes_are_those_of_curved_images(axis: int) -> None:
     expected = 0.3 * x**2 - 2.0 * x
     found = np.moveaxis(_slope(image, edge, axis), axis, 0)
     np.testing.assert_allclose(found[2:-2, 1, 2, 0], expected[2:-2], rtol=1e-9)
+
+
+def with_edges_within_voxels() -> tuple[Voxels, np.ndarray]:
+    """Noise-free voxels that hold a share of the next region's curve, as large as it comes, and weights that see it."""
+    rng = np.random.default_rng(8)
+    levels = np.stack([a * np.exp(-np.arange(FRAMES) / b) for a, b in ((10.0, 4.0), (20.0, 9.0), (35.0, 20.0))])
+    place = np.repeat(np.arange(REGIONS), EACH)
+    share = rng.uniform(0.0, 0.4, place.size)[:, None]
+    curves = (1.0 - share) * levels[place] + share * levels[(place + 1) % REGIONS]
+    inside, courses = np.ones((REGIONS, EACH, 1), bool), np.linalg.svd(levels, full_matrices=False)[2]
+    grain = VoxelNoise(np.ones(FRAMES), np.ones((1, 1, 1)), place.reshape(inside.shape) + 1)
+    seen = (curves @ courses.T).reshape(*inside.shape, -1)
+    picture = Picture(
+        curves.T.astype(np.float32), place, inside, (slice(None),) * 3, (2.0,) * 3, 0.0, courses, seen, grain
+    )
+    fit: Any = SimpleNamespace(values=levels)
+    voxels = Voxels(picture, fit, np.ones_like(levels), np.zeros((REGIONS, FRAMES, 2)))
+    voxels.__dict__["_common"] = np.ones(FRAMES)
+    return voxels, voxels.centred(share[:, 0] + 0.1 * rng.standard_normal(place.size))
+
+
+def test_edges_that_run_within_voxels_are_nuisance() -> None:
+    """What a still image gives a contrast is a mixture of the regions' curves, and no larger than is allowed for."""
+    voxels, weights = with_edges_within_voxels()
+    rows, columns = voxels.sums(weights), _Scene(voxels)._there(weights)
+    assert np.linalg.norm(rows) > 10.0
+    for r in range(REGIONS):
+        mine = columns[np.abs(columns[:, r]).max(axis=1) > 0, r].T
+        covariance = mine @ mine.T + 1e-6 * np.eye(FRAMES)
+        assert rows[r] @ np.linalg.solve(covariance, rows[r]) < 3.0 * REGIONS
+
+
+def test_a_drift_may_begin_and_end_during_the_scan() -> None:
+    frames, nothing = FrameSchedule.uniform(30, 2.0), cast(Any, None)
+    courses = [course for _, course in _courses("motion_drift", frames, nothing)]
+    begun = [float(frames.mid[np.flatnonzero(course > 0)[0]]) for course in courses]
+    ended = [float(frames.mid[np.argmax(course)]) for course in courses]
+    assert all((np.diff(course) >= 0).all() and course[0] < 0.1 and course[-1] > 0.9 for course in courses)
+    assert {round(b / 20.0) for b in begun} == {0, 1, 2}
+    assert {round(e / 20.0) for e in ended} == {1, 2, 3}

@@ -94,3 +94,37 @@ def test_a_drift_may_begin_and_end_during_the_scan() -> None:
     assert all((np.diff(course) >= 0).all() and course[0] < 0.1 and course[-1] > 0.9 for course in courses)
     assert {round(b / 20.0) for b in begun} == {0, 1, 2}
     assert {round(e / 20.0) for e in ended} == {1, 2, 3}
+
+
+def test_a_turn_changes_the_image_as_its_contrast_says() -> None:
+    """Per mm at the edge of the labels, as far as a small turn is linear."""
+    count, edge = 24, 3.0
+    x, y = (edge * (np.indices((count, count, 3))[a] - (count - 1) / 2) for a in range(2))
+
+    def image(angle: float) -> np.ndarray:
+        """Two blobs off the middle, turned from the first axis to the second."""
+        u, v = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+        return np.exp(-((u - 12.0) ** 2 + v**2) / 200.0) + 0.5 * np.exp(-((u + 5.0) ** 2 + (v - 15.0) ** 2) / 300.0)
+
+    inside = np.zeros(x.shape, bool)
+    inside[3:-3, 3:-3] = True
+    labels = inside.astype(np.intp)
+    place, levels = np.zeros(inside.sum(), np.intp), np.ones((1, FRAMES))
+    picture = Picture(
+        np.ones((FRAMES, place.size), np.float32),
+        place,
+        inside,
+        (slice(None),) * 3,
+        (edge,) * 3,
+        0.0,
+        np.ones((1, FRAMES)) / np.sqrt(FRAMES),
+        image(0.0)[..., None],
+        VoxelNoise(np.ones(FRAMES), np.ones((1, 1, 1)), labels),
+    )
+    fit: Any = SimpleNamespace(values=levels)
+    contrast = _Scene(Voxels(picture, fit, levels, np.zeros((1, FRAMES, 2)))).turned(0, 1)
+    furthest = np.hypot(x[inside], y[inside]).max()
+    expected = (image(0.5 / furthest) - image(-0.5 / furthest))[inside]
+    sign = np.sign(contrast.maps[:, 0] @ expected)
+    np.testing.assert_allclose(sign * contrast.maps[:, 0], expected, atol=0.01 * np.abs(expected).max())
+    assert contrast.axis == 2

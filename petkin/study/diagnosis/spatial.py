@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ Array = NDArray[np.float64]
 _WIDTHS, _TYPICAL = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0), 6.0
 #: Priors: mm of motion, relative gain at the edge of the head, and blur in units of the FWHM tried.
 _MOTION_MM, _GAIN = 10.0, 0.2
+_MOTIONS = ("motion_step", "motion_drift")
 #: A mixture of the regions' curves that is always there may be so many times as large as what the image shows.
 _MIXED = 1.7
 #: Rounds in which the sharp image is found.
@@ -67,11 +70,11 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         seed: of the draws of noise.
     """
     predicted, scene = _Predicted.of(voxels), _Scene(voxels)
-    along = [place for axis in scene.axes for place in (scene.moving(axis), scene.tilted(axis))]
-    variation = Variation.of(voxels, [contrast.weights for contrast in along])
+    contrasts = scene.contrasts()
+    variation = Variation.of(voxels, [contrast.weights for contrast in contrasts])
     families, patterns = predicted.blurred(variation)
     width = predicted.width(families["blur"].rows, patterns)
-    for contrast in along:
+    for contrast in contrasts:
         families[contrast.family] = scene.family(contrast, variation)
         patterns += scene.patterns(contrast, simulator)
     patterns = [pattern for pattern in patterns if pattern.name in names]
@@ -88,7 +91,7 @@ def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
 
 @dataclass(frozen=True)
 class _Contrast:
-    """A contrast along an axis and what it looks for: effects that add maps (N, M) times their amplitude."""
+    """A contrast along or about an axis and what it looks for: effects that add maps (N, M) times their amplitude."""
 
     family: str
     names: tuple[str, ...]
@@ -165,11 +168,29 @@ class _Scene:
         usual = np.sqrt((self.voxels.spread**2).mean(axis=0))
         return maps @ (self.voxels.picture.courses / usual).sum(axis=1)
 
+    def contrasts(self) -> list[_Contrast]:
+        """Motion and gains along every axis of the grid, and turns about it."""
+        found = [contrast for axis in self.axes for contrast in (self.moving(axis), self.tilted(axis))]
+        return found + [self.turned(*plane) for plane in combinations(self.axes, 2)]
+
     def moving(self, axis: int) -> _Contrast:
         """Motion along an axis, mm: a step, or a drift."""
+        return self._along(f"motion {axis}", _MOTIONS, axis, self._slopes[axis], _MOTION_MM)
+
+    def turned(self, one: int, two: int) -> _Contrast:
+        """A turn from one axis to another about the middle of the labels, by so many mm at their edge."""
+        at = np.stack(np.nonzero(self.voxels.inside), axis=1) * np.array(self.voxels.picture.size)
+        at -= at.mean(axis=0)
+        edge = max(float(np.hypot(at[:, one], at[:, two]).max()), 1e-300)
+        maps = (at[:, [one]] * self._slopes[two] - at[:, [two]] * self._slopes[one]) / edge
+        return self._along(f"turn {one}{two}", _MOTIONS, 3 - one - two, maps, _MOTION_MM)
+
+    @cached_property
+    def _slopes(self) -> dict[int, Array]:
+        """Derivatives of the labelled voxels along every axis, 1/mm (N, M)."""
         picture = self.voxels.picture
-        slope = _slope(picture.seen, picture.size[axis], axis)[self.voxels.inside[picture.box]]
-        return self._along(f"motion {axis}", ("motion_step", "motion_drift"), axis, slope, _MOTION_MM)
+        labelled = self.voxels.inside[picture.box]
+        return {axis: _slope(picture.seen, picture.size[axis], axis)[labelled] for axis in self.axes}
 
     def tilted(self, axis: int) -> _Contrast:
         """A gain that grows along an axis, by so much from the middle to the edge of the head."""

@@ -148,8 +148,9 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
 
 def _drawn(noise: Noise, rng: np.random.Generator) -> Array:
     """Noise of this covariance (C, K)."""
-    alone, common = rng.standard_normal(noise.spread.shape), rng.standard_normal((1, noise.spread.shape[1]))
-    return noise.mixed(alone, common) * noise.spread * noise.size[:, None]
+    alone, common = rng.standard_normal(noise.spread.shape), rng.standard_normal(noise.spread.shape[1])
+    mixed = np.sqrt(1.0 - noise.share) * alone + np.sqrt(noise.share) * common
+    return mixed * noise.spread * noise.size[:, None]
 
 
 def _stepped(clock: FrameObservation, rng: np.random.Generator) -> Array:

@@ -1,8 +1,6 @@
 """Noise: its size a channel, and the share that a whole sample has in common, without booking a gap as noise.
 
-cov(r_ck, r_dk) = s_c s_d v_ck v_dk ((1 - rho u_c^2) [c = d] + rho u_c u_d),   mean u^2 = 1
-
-What a sample has in common is a factor of its values, so that u_c goes as a channel's values over its noise.
+cov(r_ck, r_dk) = s_c s_d v_ck v_dk ((1 - rho) [c = d] + rho)
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ Array = NDArray[np.float64]
 
 #: Values beyond three times their median size, two standard deviations, are cut; what that takes from normal ones.
 _JUMP, _CUT = 3.0, 0.957
-_MOST_SHARED, _MOST_LOAD = 0.9, 1.8
+_MOST_SHARED = 0.9
 #: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
@@ -35,27 +33,16 @@ class Noise:
         spread: v, relative standard deviations (C, K).
         size: s (C,).
         share: rho.
-        load: u (C,), or one for all.
     """
 
     spread: Array
     size: Array
     share: float
-    load: Array | float = 1.0
 
     @cached_property
     def mixing(self) -> Array:
-        """R^{-1/2} (C, C)."""
-        return inverse_root(self._loads, np.array(self.share))
-
-    @property
-    def _loads(self) -> Array:
-        return np.broadcast_to(np.asarray(self.load, np.float64), np.shape(self.size))
-
-    def mixed(self, alone: Array, common: Array) -> Array:
-        """What is each channel's own (..., C, K) and what a sample has in common (..., 1, K), in their shares."""
-        part = self.share * self._loads[:, None] ** 2
-        return np.sqrt(1.0 - part) * alone + np.sqrt(part) * common
+        """R^{-1/2} of R = (1 - rho) I + rho 11' (C, C)."""
+        return inverse_root(len(self.size), np.array(self.share))
 
     @cached_property
     def _scale(self) -> Array:
@@ -71,19 +58,11 @@ class Noise:
         return self.size[:, None] * self.spread * np.linalg.solve(self.mixing, each)
 
 
-def loads(level: Array, size: Array) -> Array:
-    """u (..., C) of channels with such values and such noise, both in units of v, none of which is common alone."""
-    ratio = level / size
-    found = ratio / np.sqrt((ratio**2).mean(axis=-1, keepdims=True))
-    return np.minimum(found, _MOST_LOAD)
-
-
-def inverse_root(load: Array, share: Array) -> Array:
-    """R^{-1/2} for every load (..., C) and share (...)."""
-    rho, eye = np.asarray(share)[..., None], np.eye(load.shape[-1])
-    mixed = (1.0 - rho * load**2)[..., None] * eye + rho[..., None] * load[..., :, None] * load[..., None, :]
-    values, axes = np.linalg.eigh(mixed)
-    return (axes / np.sqrt(values)[..., None, :]) @ axes.swapaxes(-1, -2)
+def inverse_root(count: int, share: Array) -> Array:
+    """R^{-1/2} for every share (..., C, C), by the two eigenvalues of R."""
+    lone, common = 1.0 / np.sqrt(1.0 - share), 1.0 / np.sqrt(1.0 + (count - 1) * share)
+    everywhere = np.full((count, count), 1.0 / count)
+    return lone[..., None, None] * (np.eye(count) - everywhere) + common[..., None, None] * everywhere
 
 
 def from_flexible(curves: Array, spread: Array, dictionary: Array) -> tuple[Array, Array, list[Array]]:
@@ -119,21 +98,14 @@ def without_jumps(values: Array) -> Array:
     return np.clip(values, -limit, limit) / _CUT
 
 
-def common_share(residuals: Array, load: Array) -> Array:
-    """rho of residuals (..., C, K) in units of their size: their products between channels, against what u makes them.
-
-    Args:
-        residuals: (..., C, K).
-        load: u (..., C).
-    """
-    if residuals.shape[-2] == 1:
+def common_share(residuals: Array) -> Array:
+    """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs."""
+    count = residuals.shape[-2]
+    if count == 1:
         return np.zeros(residuals.shape[:-2])
-    scaled = residuals * load[..., None]
-    together = (scaled.sum(axis=-2) ** 2 - (scaled**2).sum(axis=-2)).mean(axis=-1)
-    squares = load**2
-    most = squares.sum(axis=-1) ** 2 - (squares**2).sum(axis=-1)
+    together = (residuals.mean(axis=-2) ** 2).mean(axis=-1)
     alone = (residuals**2).mean(axis=(-2, -1))
-    return np.clip(together / np.maximum(alone * most, 1e-300), 0.0, _MOST_SHARED / squares.max(axis=-1))
+    return np.clip((count * together / np.maximum(alone, 1e-300) - 1.0) / (count - 1.0), 0.0, _MOST_SHARED)
 
 
 def outlying(residuals: Array) -> Array:
@@ -200,8 +172,8 @@ def size_and_share(loose: Array, freedom: Array, bends: Array, scale: Array, lev
     by_fit, by_bends = np.sqrt((loose**2).sum(axis=-1) / freedom), np.sqrt((bends**2).mean(axis=-1))
     fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
     size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
-    relative, load = (size / scale)[..., None], loads(level, size)
-    return size, np.where(fitted, common_share(loose / relative, load), common_share(bends / relative, load))
+    relative = (size / scale)[..., None]
+    return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative))
 
 
 def first_floor(
@@ -218,8 +190,7 @@ def first_floor(
     """
     loose, freedom = without_jumps(flexible[0]), flexible[1]
     size, share = size_and_share(loose, freedom, second_differences(residuals), np.ones(len(spread)), level)
-    size = np.maximum(size, least)
-    return Noise(spread, size, float(share), loads(level, size))
+    return Noise(spread, np.maximum(size, least), float(share))
 
 
 def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least: Array) -> Noise:
@@ -230,6 +201,4 @@ def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least
     size = np.maximum(pooled(own, np.full(len(scaled), freedom), level), least)
     if np.log(size / noise.size).mean() >= 0:
         return noise
-    load = loads(level, size)
-    share = float(min(noise.share, common_share(scaled / size[:, None], load)))
-    return replace(noise, size=size, share=share, load=load)
+    return replace(noise, size=size, share=float(min(noise.share, common_share(scaled / size[:, None]))))

@@ -82,8 +82,13 @@ def _until(there: Callable[[], T | None]) -> T:
 
 
 def _at_work(study: Path) -> list[int]:
-    """Processes that have a folder of half a scan open."""
-    return [int(path.name.split("-")[1]) for path in study.rglob(".petkin-*-*") if path.is_dir()]
+    """Processes that hold a folder of half a scan; one that is killed in the moment before leaves its folder for good."""
+    return [int(path.parent.name.split("-")[1]) for path in study.rglob(".petkin-*-*/lock")]
+
+
+def _half_done(study: Path) -> list[Path]:
+    """Folders of half a scan, held or not."""
+    return list(study.rglob(".petkin-*-*"))
 
 
 def _gone(process: int) -> bool:
@@ -108,7 +113,7 @@ def test_a_worker_is_killed(cohort: tuple[Path, dict[str, bytes]]) -> None:
     assert (process.returncode, err) == (0, "")
     assert out.count("Report: ") == len(_SCANS)
     assert _results(study) == serial
-    assert not _at_work(study)
+    assert not _half_done(study)
 
 
 def test_the_client_is_killed_and_starts_again(cohort: tuple[Path, dict[str, bytes]]) -> None:
@@ -135,7 +140,7 @@ def test_the_client_is_killed_and_starts_again(cohort: tuple[Path, dict[str, byt
     )
     assert first[0].stat().st_mtime_ns == stamp
     assert _results(study) == serial
-    assert not _at_work(study)
+    assert not _half_done(study)
     told = run_command("fit", study, *_FIT)
     assert told.out == ran.out.replace(f"{len(done)} of 3 scans", "3 of 3 scans")
 

@@ -126,7 +126,7 @@ def judge_contrasts(
 
 
 def _scores(family: Family, columns: Array, least: float) -> tuple[Array, Array]:
-    """E C^{-1} c and E C^{-1} E' of columns E (m, J K)."""
+    """E C^{-1} c and E C^{-1} E' of columns E (m, J K), by Woodbury's identity: N has fewer rows than C."""
     weight = np.repeat(np.maximum(family.size, least) ** -2.0, family.rows.shape[1])
     nuisance = family.nuisance.reshape(len(family.nuisance), -1)
     inner = np.eye(len(nuisance)) + (nuisance * weight) @ nuisance.T

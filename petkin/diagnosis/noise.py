@@ -55,7 +55,7 @@ class Noise:
     def coloured(self, white: Array) -> Array:
         """What `whiten` makes into these (..., C K): values (..., C, K)."""
         each = white.reshape(*white.shape[:-1], *self.spread.shape)
-        return self.size[:, None] * self.spread * np.linalg.solve(self.mixing, each)
+        return self._scale * np.linalg.solve(self.mixing, each)
 
 
 def inverse_root(count: int, share: Array) -> Array:

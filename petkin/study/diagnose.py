@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from petkin.diagnosis import Diagnosis, Member, Visible, base_fit, diagnose, foresee_design, in_common
+from petkin.diagnosis import Member, Visible, base_fit, diagnose, foresee_design, in_common
 from petkin.effects import EFFECTS
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.errors import InputError
-from petkin.fitting import Status
 from petkin.imaging import FrameObservation
 from petkin.io import (
     AtomicFolder,
@@ -30,10 +28,6 @@ from petkin.io.names import cohort_report_path, map_path, report_path
 from petkin.learning import Members, open_members
 from petkin.reporting import (
     CohortReport,
-    GapReport,
-    MapSet,
-    ParameterMap,
-    RegionCurves,
     render_cohort_report,
     render_gap_report,
 )
@@ -43,12 +37,12 @@ from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
+from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
-from petkin.study.diagnosis.sidecar import Blunder, blunders
-from petkin.study.diagnosis.state import StatesRead, read_states
-from petkin.study.diagnosis.state_files import drawn_states, write_states
-from petkin.study.fit_report import directions
+from petkin.study.diagnosis.sidecar import blunders
+from petkin.study.diagnosis.state import read_states
+from petkin.study.diagnosis.state_files import write_states
 from petkin.study.fit_scan import Progress
 from petkin.study.outputs import require_own_folder, write_study_description
 from petkin.study.reading import read_sources
@@ -108,7 +102,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             shown=one.shown,
             states=one.states,
         )
-        report = _report(source, curves, simulator, one, text, request)
+        report = gap_report(source, curves, simulator, one, text, request.command_line)
         relative = report_path(source.entities, desc="gap")
         with AtomicFolder(out) as folder:
             write_study_description(folder, name, out=out, raw=request.target)
@@ -141,16 +135,6 @@ def _members(request: DiagnoseRequest, sources: tuple[Source, ...]) -> Members |
     return members
 
 
-@dataclass(frozen=True)
-class _One:
-    """A scan's diagnosis, what its sidecar shows, the gap by voxel where there is an image, and the state map."""
-
-    found: Diagnosis
-    shown: tuple[Blunder, ...]
-    gap: NDArray[np.float32] | None
-    states: StatesRead | None
-
-
 def _diagnosed(
     source: Source,
     curves: RegionalCurves,
@@ -158,7 +142,7 @@ def _diagnosed(
     request: DiagnoseRequest,
     members: Members | None,
     progress: Progress,
-) -> _One:
+) -> Judged:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
     scatter, simulator, based = _law_of_noise(simulator, curves, request)
@@ -191,7 +175,7 @@ def _diagnosed(
     states = None
     if members is not None:
         states = read_states(members, simulator, curves.values, based, candidates, seed=request.seed, progress=progress)
-    return _One(found, shown, gap, states)
+    return Judged(found, shown, gap, states)
 
 
 def _law_of_noise(
@@ -309,49 +293,3 @@ def _check(curves: RegionalCurves, label: str) -> None:
     for name, row in zip(curves.names, curves.values):
         if not row.max() > 0:
             raise InputError(f"{label}: region {name!r} holds no activity in any frame; leave it out.")
-
-
-def _report(
-    source: Source,
-    curves: RegionalCurves,
-    simulator: RegionalSimulator,
-    one: _One,
-    text: dict[str, Any],
-    request: DiagnoseRequest,
-) -> GapReport:
-    shape, found = curves.values.shape, one.found
-    leader = found.causes[0].fit if found.causes else None
-    return GapReport(
-        title=f"{source.label}: where the simulator and the scan part",
-        answer=text,
-        curves=RegionCurves(curves.names, curves.frames, curves.values),
-        before=found.base.values,
-        after=None if leader is None else leader.values,
-        residual=found.base.residual.reshape(shape),
-        residual_after=None if leader is None else leader.residual.reshape(shape),
-        alike=tuple(sorted((tuple(sorted(pair)), c) for pair, c in found.alike.items())),
-        visible=tuple((v.hypothesis.name, v.detectability, v.kept, v.partners[:1]) for v in found.visible),
-        shown=tuple((b.effect, b.why) for b in one.shown),
-        gap_map=_gap_map(source, one),
-        lacking=drawn_states(one.states),
-        scan=source.facts,
-        warnings=_warnings(source, simulator, one),
-        command_line=request.command_line,
-    )
-
-
-def _warnings(source: Source, simulator: RegionalSimulator, one: _One) -> tuple[str, ...]:
-    """What was odd about the files, and what hybrids have not seen; each once."""
-    unseen = () if one.states is None else one.states.remarks
-    return tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks, *unseen]))
-
-
-def _gap_map(source: Source, one: _One) -> MapSet | None:
-    """The voxel map as a report draws maps."""
-    if one.gap is None or source.image is None:
-        return None
-    mask = np.isfinite(one.gap)
-    z = one.gap.ravel(order="F")[mask.ravel(order="F")]
-    x, y, z_mm = (float(edge) for edge in source.image.voxel_mm)
-    status = np.full(z.size, Status.OK, np.uint8)
-    return MapSet((ParameterMap("z", "", z),), status, mask, (x, y, z_mm), directions(source.image.affine))

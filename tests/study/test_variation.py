@@ -57,13 +57,18 @@ def along(voxels: Voxels) -> np.ndarray:
     return voxels.centred(np.nonzero(voxels.inside)[0].astype(float))
 
 
+def variation_of(voxels: Voxels, weights: np.ndarray) -> Variation:
+    contrast: Any = SimpleNamespace(weights=weights, sizes=voxels.picture.grain.sizes(weights))
+    return Variation.of(voxels, [contrast])
+
+
 @pytest.mark.parametrize("spread", [0.05, 0.2])
 def test_the_size_of_what_varies_is_found(spread: float) -> None:
     rng = np.random.default_rng(1)
     found = []
     for _ in range(6):
         voxels = voxels_of(rng, spread)
-        found.append(Variation.of(voxels, [along(voxels)]).variance)
+        found.append(variation_of(voxels, along(voxels)).variance)
     assert 0.7 * spread < np.sqrt(np.median(found)) < 1.4 * spread
 
 
@@ -74,7 +79,7 @@ def test_contrasts_scatter_as_foretold() -> None:
     for _ in range(40):
         voxels = voxels_of(rng, 0.1)
         weights = along(voxels)
-        columns = Variation.of(voxels, [weights]).columns(weights).reshape(-1, LEVELS.size)
+        columns = variation_of(voxels, weights).columns(weights).reshape(-1, LEVELS.size)
         covariance = np.eye(LEVELS.size) + columns.T @ columns
         rows = voxels.sums(weights).ravel()
         squares.append(rows @ np.linalg.solve(covariance, rows) / rows.size)
@@ -85,7 +90,7 @@ def test_decoys_are_blind_to_what_the_weights_see() -> None:
     """A strong signal along the weights does not count as kinetics that vary."""
     weights = along(voxels_of(np.random.default_rng(3), 0.05))
     bare, moved = (
-        Variation.of(voxels_of(np.random.default_rng(3), 0.05, more), [weights]).variance
+        variation_of(voxels_of(np.random.default_rng(3), 0.05, more), weights).variance
         for more in (0.0, 60.0 * weights[:, None] * LEVELS[0])
     )
     np.testing.assert_allclose(moved, bare, rtol=0.1)

@@ -71,7 +71,7 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     """
     predicted, scene = _Predicted.of(voxels), _Scene(voxels)
     contrasts = scene.contrasts()
-    variation = Variation.of(voxels, [contrast.weights for contrast in contrasts])
+    variation = Variation.of(voxels, contrasts)
     families, patterns = predicted.blurred(variation)
     width = predicted.width(families["blur"].rows, patterns)
     for contrast in contrasts:
@@ -91,7 +91,17 @@ def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
 
 @dataclass(frozen=True)
 class _Contrast:
-    """A contrast along or about an axis and what it looks for: effects that add maps (N, M) times their amplitude."""
+    """A contrast along or about an axis and what it looks for: effects that add maps times their amplitude.
+
+    Args:
+        family: its name.
+        names: of the effects.
+        axis: of the grid.
+        maps: what a unit of them adds to every voxel, in courses (N, M).
+        prior: standard deviation of the amplitude, in its unit.
+        weights: of the voxels (N,).
+        sizes: standard deviation of its noise in every region (R,).
+    """
 
     family: str
     names: tuple[str, ...]
@@ -99,6 +109,7 @@ class _Contrast:
     maps: Array
     prior: float
     weights: Array
+    sizes: Array
 
 
 @dataclass(frozen=True)
@@ -199,13 +210,14 @@ class _Scene:
         return self._along(f"gain {axis}", ("attenuation_mismatch",), axis, place[:, None] * self.voxels.seen, _GAIN)
 
     def _along(self, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
-        return _Contrast(family, names, axis, maps, prior, self.voxels.centred(self._mean(maps)))
+        weights = self.voxels.centred(self._mean(maps))
+        return _Contrast(family, names, axis, maps, prior, weights, self.voxels.picture.grain.sizes(weights))
 
     def family(self, contrast: _Contrast, variation: Variation) -> Family:
         """Its rows, with what they may hold of an image that stays as it is."""
-        voxels, weights = self.voxels, contrast.weights
+        weights = contrast.weights
         nuisance = np.concatenate([variation.columns(weights), self._there(weights)])
-        return Family(voxels.sums(weights), nuisance, voxels.picture.grain.sizes(weights))
+        return Family(self.voxels.sums(weights), nuisance, contrast.sizes)
 
     def patterns(self, contrast: _Contrast, simulator: RegionalSimulator) -> list[Pattern]:
         """What its effects add, by setting."""

@@ -10,7 +10,9 @@ v comes from decoys: contrasts of the same weights times smooth waves, made blin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,16 @@ _WAVES, _DECOYS = 128, 64
 #: of a region.
 _USUAL, _TRUST, _INDEPENDENT = 0.01, 4.0, 8.0
 _ROUNDS, _TINY = 60, 1e-9
+
+
+class Seen(Protocol):
+    """A contrast: its weights (N,), and the standard deviation of its noise in every region (R,)."""
+
+    @property
+    def weights(self) -> Array: ...
+
+    @property
+    def sizes(self) -> Array: ...
 
 
 @dataclass(frozen=True)
@@ -46,11 +58,11 @@ class Variation:
     variance: Array
 
     @classmethod
-    def of(cls, voxels: Voxels, weights: list[Array]) -> Variation:
-        """As far as contrasts of such weights (N,) show it."""
+    def of(cls, voxels: Voxels, contrasts: Sequence[Seen]) -> Variation:
+        """As far as such contrasts show it."""
         rng, cells = np.random.default_rng(0), _Cells.of(voxels)
         fields, waves = cells.waves(rng, _WAVES, _LENGTH_MM), cells.waves(rng, _DECOYS, _DECOY_MM)
-        decoys = [decoy for each in weights for decoy in _decoys(voxels, each, cells, waves, fields)]
+        decoys = [decoy for each in contrasts for decoy in _decoys(voxels, each, cells, waves, fields)]
         return cls(cells, fields, voxels.sensitivity, _variances(decoys, voxels.sensitivity.shape[2]))
 
     def columns(self, weights: Array) -> Array:
@@ -87,7 +99,10 @@ class _Cells:
         return cls(index, middle, cells[0])
 
     def waves(self, rng: np.random.Generator, count: int, length: float) -> Array:
-        """Waves (C, count), whose products have the mean e^{-d^2 / 2 length^2} / count."""
+        """Waves (C, count), whose products sum to e^{-d^2 / 2 length^2} on average.
+
+        Reference: Rahimi A, Recht B. Adv Neural Inf Process Syst 2007;20:1177-1184 (random Fourier features).
+        """
         ways, phases = rng.standard_normal((3, count)) / length, rng.uniform(0.0, 2.0 * np.pi, count)
         return np.asarray(np.cos(self.middle @ ways + phases) * np.sqrt(2.0 / count), np.float64)
 
@@ -112,12 +127,12 @@ class _Decoys:
     varied: Array
 
 
-def _decoys(voxels: Voxels, weights: Array, cells: _Cells, waves: Array, fields: Array) -> list[_Decoys]:
+def _decoys(voxels: Voxels, contrast: Seen, cells: _Cells, waves: Array, fields: Array) -> list[_Decoys]:
     """Decoys of one contrast, region by region."""
-    found, sizes = [], voxels.picture.grain.sizes(weights)
-    for r, size in enumerate(sizes):
+    found = []
+    for r, size in enumerate(contrast.sizes):
         mine = voxels.place == r
-        own = weights[mine]
+        own = contrast.weights[mine]
         seen = np.stack([np.full(own.size, own.size**-0.5), own], axis=1)
         waved = own[:, None] * waves[cells.index[mine]]
         free = waved - seen @ (seen.T @ waved)

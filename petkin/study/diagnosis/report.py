@@ -1,0 +1,86 @@
+"""What the page of a scan shows of its diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis import Diagnosis
+from petkin.fitting import Status
+from petkin.io import RegionalCurves
+from petkin.reporting import GapReport, MapSet, ParameterMap, RegionCurves
+from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.sidecar import Blunder
+from petkin.study.diagnosis.state import StatesRead
+from petkin.study.diagnosis.state_files import drawn_states
+from petkin.study.fit_report import directions
+from petkin.study.sources import Source
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A scan's diagnosis, what its sidecar shows, the gap by voxel where there is an image, and the state map."""
+
+    found: Diagnosis
+    shown: tuple[Blunder, ...]
+    gap: NDArray[np.float32] | None
+    states: StatesRead | None
+
+
+def gap_report(
+    source: Source,
+    curves: RegionalCurves,
+    simulator: RegionalSimulator,
+    one: Judged,
+    text: dict[str, Any],
+    command_line: str,
+) -> GapReport:
+    """Everything that the page shows.
+
+    Args:
+        source: the scan.
+        curves: its regional curves.
+        simulator: that they were compared with.
+        one: what was found.
+        text: the answer.
+        command_line: what was typed.
+    """
+    shape, found = curves.values.shape, one.found
+    leader = found.causes[0].fit if found.causes else None
+    return GapReport(
+        title=f"{source.label}: where the simulator and the scan part",
+        answer=text,
+        curves=RegionCurves(curves.names, curves.frames, curves.values),
+        before=found.base.values,
+        after=None if leader is None else leader.values,
+        residual=found.base.residual.reshape(shape),
+        residual_after=None if leader is None else leader.residual.reshape(shape),
+        alike=tuple(sorted((tuple(sorted(pair)), c) for pair, c in found.alike.items())),
+        visible=tuple((v.hypothesis.name, v.detectability, v.kept, v.partners[:1]) for v in found.visible),
+        shown=tuple((b.effect, b.why) for b in one.shown),
+        gap_map=_gap_map(source, one),
+        lacking=drawn_states(one.states),
+        scan=source.facts,
+        warnings=_warnings(source, simulator, one),
+        command_line=command_line,
+    )
+
+
+def _warnings(source: Source, simulator: RegionalSimulator, one: Judged) -> tuple[str, ...]:
+    """What was odd about the files, and what hybrids have not seen; each once."""
+    unseen = () if one.states is None else one.states.remarks
+    return tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks, *unseen]))
+
+
+def _gap_map(source: Source, one: Judged) -> MapSet | None:
+    """The voxel map as a report draws maps."""
+    if one.gap is None or source.image is None:
+        return None
+    mask = np.isfinite(one.gap)
+    z = one.gap.ravel(order="F")[mask.ravel(order="F")]
+    x, y, z_mm = (float(edge) for edge in source.image.voxel_mm)
+    status = np.full(z.size, Status.OK, np.uint8)
+    return MapSet((ParameterMap("z", "", z),), status, mask, (x, y, z_mm), directions(source.image.affine))

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import diagnose
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import State, refit
 from petkin.effects import EFFECTS, effect_named
@@ -24,8 +23,9 @@ from petkin.errors import InputError
 from petkin.imaging import FrameObservation
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS, prepared, sources_of
+from petkin.study.diagnosis.record import record_errors
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
-from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
 from petkin.units import SECONDS_PER_MINUTE
 
 Array = NDArray[np.float64]
@@ -82,6 +82,7 @@ def measure_real(
     seg: str | None = "rois",
     only: tuple[str, ...] = (),
     rivals: tuple[str, ...] = (),
+    blood: str = RECORDED,
     seed: int = 0,
 ) -> list[dict[str, object]]:
     """One row a scan and case: what was withheld or put in, and what the diagnosis says.
@@ -92,6 +93,7 @@ def measure_real(
         seg: which table of curves.
         only: names of cases; empty for all.
         rivals: effects that compete with the answer; empty for the whole catalogue.
+        blood: how it is read, "recorded" or "fitted".
         seed: of blunders, twins and draws.
 
     Raises:
@@ -101,14 +103,14 @@ def measure_real(
         effect_named(name)
     return [
         _row(scan.label, case, rivals, seed)
-        for scan in _recordings(folder, subjects, seg)
+        for scan in _recordings(folder, subjects, seg, blood)
         for case in _cases(scan, np.random.default_rng((seed, *scan.label.encode())))
         if not only or case.name in only
     ]
 
 
-def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None) -> Iterator[_Recording]:
-    request = DiagnoseRequest(folder, model="2tcm", include=FULL, subjects=subjects, seg=seg)
+def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood: str) -> Iterator[_Recording]:
+    request = DiagnoseRequest(folder, model="2tcm", include=FULL, subjects=subjects, seg=seg, blood=blood)
     lesser = replace(request, model="1tcm")
     for source in sources_of(request)[2]:
         curves, full = prepared(source, request)
@@ -119,20 +121,21 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
     values = scan.curves.values
     rival = (values, scan.full)
     fit, noise, *_ = base_fit(scan.full, values)
-    yield Case("twin", "twin", (), fit.values + _drawn(noise, rng), scan.full)
+    drawn = noise.coloured(rng.standard_normal(values.size))
+    yield Case("twin", "twin", (), fit.values + drawn, scan.full)
     yield Case("withheld", "nothing", (), values, scan.full)
     for name in ("blood_volume", "vascular_trapping"):
         yield Case("withheld", name, (name,), values, scan.cut(name), rival)
     yield Case("withheld", "second_tissue", ("second_tissue",), values, scan.one_tissue, rival)
     record = scan.full.input
     if record.total_plasma is not None:
-        bare = replace(record, plasma=record.total_plasma, parent_fraction=None)
+        bare = replace(record, plasma=record.total_plasma, parent_fraction=None, parent_fraction_fit=None)
         yield Case(
             "withheld",
             "parent_fraction",
             ("parent_fraction",),
             values,
-            replace(scan.full, input=bare, measured=frozenset()),
+            replace(scan.full, input=bare, measured=frozenset(), errors=record_errors(bare, scan.full.nodes)),
             rival,
         )
     timed = scan.cut("arterial_delay")
@@ -144,13 +147,6 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
         factor = blunder(scan.full.clock, rng)
         for simulator in (scan.full, scan.cut("vascular_trapping")):
             yield Case("blunder", name, (name,), values * factor, simulator, (values, simulator), factor)
-
-
-def _drawn(noise: Noise, rng: np.random.Generator) -> Array:
-    """Noise of this covariance (C, K)."""
-    alone, common = rng.standard_normal(noise.spread.shape), rng.standard_normal(noise.spread.shape[1])
-    mixed = np.sqrt(1.0 - noise.share) * alone + np.sqrt(noise.share) * common
-    return mixed * noise.spread * noise.size[:, None]
 
 
 def _stepped(clock: FrameObservation, rng: np.random.Generator) -> Array:

@@ -23,6 +23,14 @@ def diagnose(
         list[str] | None,
         typer.Option(help="Effect taken out of the candidates; repeatable.", rich_help_panel=_SIMULATOR),
     ] = None,
+    read_blood: Annotated[
+        str,
+        typer.Option(
+            help="recorded: straight lines between samples, taken as exact; fitted: the curves that petkin fit reads, "
+            "allowed to err as the samples scatter, as measured blood does.",
+            rich_help_panel=_SIMULATOR,
+        ),
+    ] = "recorded",
     participant_label: Annotated[
         list[str] | None,
         typer.Option(
@@ -77,6 +85,7 @@ def diagnose(
         subjects=labels(participant_label, "sub-"),
         sessions=labels(session, "ses-"),
         seg=seg,
+        blood=read_blood,
         out=out,
         checkpoints=tuple(checkpoint or ()),
         seed=seed,

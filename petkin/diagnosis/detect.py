@@ -64,7 +64,8 @@ def noise_draws(
     size, shares = size_and_share(left, degrees, second_differences(draws), noise.size, level)
     relative = (size / noise.size)[..., None]
     mixing = inverse_root(channels, shares)
-    return np.einsum("bcd,bdk->bck", mixing, draws / relative).reshape(count, -1)
+    white = np.einsum("bcd,bdk->bck", mixing, draws / relative).reshape(count, -1)
+    return noise.settled(white + noise.erring(rng, count))
 
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], freedom: float) -> Array:

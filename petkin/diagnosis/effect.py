@@ -184,6 +184,11 @@ class Simulator(Protocol):
         """
         ...
 
+    def unsure(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+        """What channels gain (n, C, K) by one standard deviation of every error of what drives them, as far as it is
+        known to have any."""
+        ...
+
     def spread(self, values: Array) -> Array:
         """Relative standard deviation of noise (channels, samples) for expected values."""
         ...

@@ -1,11 +1,14 @@
 """Noise: its size a channel, and the share that a whole sample has in common, without booking a gap as noise.
 
-cov(r_ck, r_dk) = s_c s_d v_ck v_dk ((1 - rho) [c = d] + rho)
+cov(r_ck, r_dl) = s_c s_d v_ck v_dk ((1 - rho) [c = d] + rho) [k = l] + sum_m b_mck b_mdl
+
+b_m what the channels show of one standard deviation of an error of what drives them, where that is known with errors.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,11 +36,13 @@ class Noise:
         spread: v, relative standard deviations (C, K).
         size: s (C,).
         share: rho.
+        errors: b, what channels show of errors of what drives them (M, C, K).
     """
 
     spread: Array
     size: Array
     share: float
+    errors: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
 
     @cached_property
     def mixing(self) -> Array:
@@ -48,14 +53,53 @@ class Noise:
     def _scale(self) -> Array:
         return self.size[:, None] * self.spread
 
+    @cached_property
+    def _errors(self) -> tuple[Array, Array]:
+        """Orthonormal directions (C K, M) of errors of what drives the channels, and their sizes (M,), in units of the
+        noise beside them."""
+        axes, size, _ = np.linalg.svd(self._beside(self.errors).T, full_matrices=False)
+        return axes, size
+
+    def _beside(self, values: Array) -> Array:
+        """Values (..., C, K) in units in which noise is white but for errors of what drives the channels."""
+        return (self.mixing @ (values / self._scale)).reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
+
+    def _back(self, white: Array) -> Array:
+        """What `_beside` makes into these."""
+        each = white.reshape(*white.shape[:-1], *self.spread.shape)
+        return self._scale * np.linalg.solve(self.mixing, each)
+
     def whiten(self, values: Array) -> Array:
         """Values (..., C, K) in units in which noise is white, flattened to (..., C K)."""
-        return (self.mixing @ (values / self._scale)).reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
+        return self.settled(self._beside(values))
+
+    def settled(self, white: Array) -> Array:
+        """Values white but for errors of what drives the channels (..., C K), white with them."""
+        return self._along(white, lambda size: 1.0 / np.sqrt(1.0 + size**2))
 
     def coloured(self, white: Array) -> Array:
         """What `whiten` makes into these (..., C K): values (..., C, K)."""
-        each = white.reshape(*white.shape[:-1], *self.spread.shape)
-        return self._scale * np.linalg.solve(self.mixing, each)
+        return self._back(self._along(white, lambda size: np.sqrt(1.0 + size**2)))
+
+    def erring(self, rng: np.random.Generator, count: int) -> Array:
+        """Draws (count, C K) of errors of what drives the channels, in units of the noise beside them."""
+        if not len(self.errors):
+            return np.zeros((count, self.spread.size))
+        axes, size = self._errors
+        return np.asarray((rng.standard_normal((count, len(size))) * size) @ axes.T, np.float64)
+
+    def without_errors(self, residuals: Array) -> Array:
+        """Residuals (C, K) less what is likeliest to come from errors of what drives the channels."""
+        if not len(self.errors):
+            return residuals
+        return self._back(self._along(self._beside(residuals), lambda size: 1.0 / (1.0 + size**2)))
+
+    def _along(self, white: Array, factor: Callable[[Array], Array]) -> Array:
+        """Values with those directions stretched by a factor of their size."""
+        if not len(self.errors):
+            return white
+        axes, size = self._errors
+        return white + ((white @ axes) * (factor(size) - 1.0)) @ axes.T
 
 
 def inverse_root(count: int, share: Array) -> Array:

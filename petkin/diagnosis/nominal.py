@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +35,7 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
         flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
         least = least_noise(simulator, base.values, spread)
         noise = first_floor((data - base.values) / spread, spread, flexible, levels(base.values, spread), least)
+        noise = replace(noise, errors=simulator.unsure(base.state.own, base.state.shared))
         base = refit(simulator, data, noise, base.state)
     loose, freedom, bases = flexible
     size = np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]

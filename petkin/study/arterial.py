@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +37,16 @@ def remarks_on_given(blood: BloodRecord, image_unit: str, frames: FrameSchedule)
     return (*blood.remarks, *against_image_unit(blood, image_unit), *complete(blood), *require_cover(blood, frames))
 
 
-def arterial_input(source: Source, request: FitRequest) -> InputFunction:
+@dataclass(frozen=True)
+class Reading:
+    """How blood is read: see `FitRequest`."""
+
+    parent_fraction: str = "auto"
+    plasma_from: str = "plasma"
+    dispersion_s: float | None = None
+
+
+def arterial_input(source: Source, request: FitRequest | Reading) -> InputFunction:
     """The input function of a scan, as sampled (no delay), kBq/mL over min.
 
     Raises:
@@ -94,7 +103,7 @@ def _from_curve(table: pd.DataFrame, scan_end: float, *, where: str) -> InputFun
     return replace(found, remarks=(*found.remarks, held))
 
 
-def _dispersion(blood: BloodRecord, request: FitRequest, sampled: bool) -> float | None:
+def _dispersion(blood: BloodRecord, request: FitRequest | Reading, sampled: bool) -> float | None:
     """Time constant to correct an autosampler for, min: as asked, else as stated by files that are not corrected."""
     if request.dispersion_s is not None:
         return units.minutes(request.dispersion_s) or None

@@ -52,6 +52,7 @@ def real_scans(
         list[str] | None,
         typer.Option(help="Only this effect competes with the answer; repeatable; default: the whole catalogue."),
     ] = None,
+    read_blood: Annotated[str, typer.Option(help="recorded or fitted: see petkin diagnose.")] = "recorded",
     seed: Annotated[int, typer.Option(help="Of blunders, twins and draws.", min=0)] = 0,
 ) -> None:
     """Withhold effects from the simulator, and put blunders into the curves, of real scans; ask what is missing.
@@ -64,9 +65,9 @@ def real_scans(
     from petkin_bench.real_scans import measure_real, summary
 
     subjects, only, rivals = (tuple(values or ()) for values in (subject, case, rival))
-    rows = measure_real(data, subjects=subjects, seg=seg, only=only, rivals=rivals, seed=seed)
+    rows = measure_real(data, subjects=subjects, seg=seg, only=only, rivals=rivals, blood=read_blood, seed=seed)
     typer.echo(pd.DataFrame(summary(rows)).to_string(index=False))
-    typer.echo(f"Appended to {append_rows('real_scans', [row | {'seed': seed} for row in rows])}")
+    typer.echo(f"Appended to {append_rows('real_scans', [row | {'seed': seed, 'blood': read_blood} for row in rows])}")
 
 
 def withheld(

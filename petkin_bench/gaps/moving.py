@@ -129,6 +129,9 @@ class MovingBodies:
     def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
         return np.zeros((0, len(self.channels), len(self.times)))
 
+    def unsure(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+        return np.zeros((0, len(self.channels), len(self.times)))
+
     def spread(self, values: Array) -> Array:
         return np.ones_like(values)
 

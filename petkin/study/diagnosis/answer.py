@@ -27,7 +27,7 @@ _REPORTED = ("K1", "VT", "Ki")
 _STATES = {"input": "C_P", "vascular": "C_B", "tissue": "C_T"}
 #: What a gap of no name looks like, where that says more than that it is smooth.
 _UNNAMED = {
-    DRIVE: "; it looks as if the plasma input departed from its record",
+    DRIVE: "; it looks as if the plasma input departed from its record (see --read-blood)",
     ONE: "; it is likeliest in one region alone",
 }
 _DIGITS = 6

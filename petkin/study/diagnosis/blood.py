@@ -1,11 +1,15 @@
-"""The blood record as a diagnosis reads it: straight lines between samples, nothing corrected, nothing modelled.
+"""The blood record as a diagnosis reads it: straight lines between samples, nothing corrected, nothing modelled; or,
+where that is asked for, as a fit reads it.
 
 Each column is interpolated by itself (missing rows are skipped) and then multiplied; activities are zero before time 0
 and rise straight to the first sample; the last value is held to the end of the scan. A fit reads blood with more care
-(`petkin.inputs.from_blood`), but what a careful reading repairs, a diagnosis must be able to find.
+(`petkin.inputs.from_blood`), but what a careful reading repairs, a diagnosis must be able to find: unless samples
+scatter so much that lines between them are the gap.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -16,6 +20,9 @@ from petkin.dynamics import PiecewiseLinear
 from petkin.errors import InputError
 from petkin.inputs import InputFunction
 from petkin.io import BloodRecord
+from petkin.study.arterial import Reading, arterial_input
+from petkin.study.diagnosis.record import remark
+from petkin.study.sources import Source
 
 Array = NDArray[np.float64]
 
@@ -67,6 +74,16 @@ def recorded_input(blood: BloodRecord, end: float) -> InputFunction:
         total_plasma=total,
         parent_fraction=share,
     )
+
+
+def fitted_input(source: Source) -> InputFunction:
+    """As `petkin fit` reads it, with a remark on how far its samples scatter.
+
+    Raises:
+        InputError: blood that cannot be read.
+    """
+    found = arterial_input(source, Reading())
+    return replace(found, remarks=(*found.remarks, remark(found)))
 
 
 def _samples(table: pd.DataFrame, column: str) -> tuple[Array, Array] | None:

@@ -60,6 +60,7 @@ class RegionalSimulator:
         measured: effects whose part of the record was measured with care.
         flatness: f of noise that scatters as counts to the power 1 - f.
         grain: the noise by region and frame, relative to that of counts, where voxels show it (R, K).
+        errors: standard deviations of C_P relative to itself, at the nodes, one after another (m, T).
     """
 
     channels: tuple[str, ...]
@@ -71,6 +72,7 @@ class RegionalSimulator:
     measured: frozenset[str] = frozenset()
     flatness: float = 0.0
     grain: Array | None = None
+    errors: Array = field(default_factory=lambda: np.zeros((0, 1)))
     _kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -172,19 +174,27 @@ class RegionalSimulator:
 
     def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
         """C_P departs by courses times the geometric mean of itself and its mean over the scan."""
-        shapes = courses(self.nodes)
-        key = shapes.tobytes()
-        if key not in self._departed:
-            self._departed[key] = tuple(self._under(shape) for shape in shapes)
-        here = self.predict(own, shared)
-        return np.stack([(other.predict(own, shared) - here) / _DEPARTURE for other in self._departed[key]])
-
-    def _under(self, course: Array) -> RegionalSimulator:
-        """The same with a small departure of C_P."""
         plasma = np.asarray(self.input.plasma(self.nodes))
         mean = np.trapezoid(plasma, self.nodes) / self.nodes[-1]
-        level = np.sqrt(np.maximum(plasma * mean, 0.0))
-        other = PiecewiseLinear(self.nodes, plasma + _DEPARTURE * level * course)
+        return self._departing(own, shared, (), courses(self.nodes) * np.sqrt(np.maximum(plasma * mean, 0.0)))
+
+    def unsure(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+        """C_P errs as its record does."""
+        return self._departing(own, shared, terms, self.errors * np.asarray(self.input.plasma(self.nodes)))
+
+    def _departing(self, own: Array, shared: Array, terms: tuple[Term, ...], departures: Array) -> Array:
+        """What regions gain where C_P departs so (n, nodes)."""
+        key = departures.tobytes()
+        if key not in self._departed:
+            self._departed[key] = tuple(self._under(departure) for departure in departures)
+        here = self.predict(own, shared, terms)
+        found = [(other.predict(own, shared, terms) - here) / _DEPARTURE for other in self._departed[key]]
+        return np.array(found).reshape(-1, *here.shape)
+
+    def _under(self, departure: Array) -> RegionalSimulator:
+        """The same with a small part of a departure of C_P."""
+        plasma = np.asarray(self.input.plasma(self.nodes))
+        other = PiecewiseLinear(self.nodes, plasma + _DEPARTURE * departure)
         return replace(self, input=replace(self.input, plasma=other))
 
     def spread(self, values: Array) -> Array:

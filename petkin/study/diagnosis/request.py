@@ -13,6 +13,8 @@ from petkin.kinetics import MODELS, ONE_TISSUE, CompartmentModel
 NAMES = tuple(effect.name for effect in EFFECTS)
 #: Fewer trainings than these say little of how trainings differ.
 FEWEST_MEMBERS = 5
+#: How blood is read: as its record stands, or as a fit reads it, with errors as its samples scatter.
+RECORDED, FITTED = "recorded", "fitted"
 #: What a simulator of this name has in it already.
 _IMPLIED = {"2TCM": "second_tissue", "2TCM3k": "second_tissue"}
 
@@ -29,6 +31,8 @@ class DiagnoseRequest:
         subjects, sessions: labels; empty for all.
         seg: which segmentation or table of curves.
         out: folder for the results; None: `derivatives/petkin` of the study.
+        blood: "recorded" (straight lines between samples, taken as exact) or "fitted" (the curves that a fit reads,
+            allowed to err as the samples scatter about them).
         checkpoints: of `petkin train`, an ensemble that maps what the law of the tissue lacks; none for no such map.
         seed: of the draws of noise.
         command_line: what was typed.
@@ -42,6 +46,7 @@ class DiagnoseRequest:
     sessions: tuple[str, ...] = ()
     seg: str | None = None
     out: Path | None = None
+    blood: str = RECORDED
     checkpoints: tuple[Path, ...] = ()
     seed: int = 0
     command_line: str = ""
@@ -49,6 +54,8 @@ class DiagnoseRequest:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise InputError(f"--seed {self.seed}: give 0 or more.")
+        if self.blood not in (RECORDED, FITTED):
+            raise InputError(f"--read-blood {self.blood!r}: choose {RECORDED} or {FITTED}.")
         for option, names in (("--include", self.include), ("--without", self.without)):
             for name in names:
                 if name not in NAMES:

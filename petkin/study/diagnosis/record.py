@@ -1,0 +1,107 @@
+"""How far the blood record of a scan is known: errors of C_P, as the record's own samples scatter.
+
+    C_P(t) = recorded(t) (1 + s_p sum_i a_i h_i(t) + s_f (1 - f(t)) sum_j b_j h_j(t)),    a, b standard normal
+
+h hats in ln(t + 1) over the samples of plasma and of the parent fraction f, whose logarithmic odds err alike; s_p from
+plasma about a cubic in ln t after the first minutes, s_f from the fraction about its fitted curve. A dense record
+without noise has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.inputs import InputFunction
+
+Array = NDArray[np.float64]
+
+_TIME, _PLASMA, _AIF = "time", "plasma_radioactivity", "AIF"
+#: From this time on (min) plasma falls smoothly; powers of ln t that describe it.
+_SMOOTH, _POWERS = 4.0, 3
+#: Samples that errors are given at, at most, and samples beyond a curve's parameters without which it tells no scatter.
+_MOST, _SPARE = 10, 3
+#: Scatter where too few samples tell it; shares nearer to 0 or 1 tell no odds.
+_USUAL, _NEAREST = 0.05, 0.01
+
+
+@dataclass(frozen=True)
+class Scattered:
+    """Samples that scatter.
+
+    Args:
+        times: min, > 0 (n,).
+        size: standard deviation of one, relative or of logarithmic odds.
+    """
+
+    times: Array
+    size: float
+
+    def errors(self, nodes: Array) -> Array:
+        """Hats over samples, fewer than those where they are many, each as sure as the samples that it stands for."""
+        if not self.times.size or not self.size > 0:
+            return np.zeros((0, nodes.size))
+        count = min(self.times.size, _MOST)
+        kept = np.log(self.times[np.unique(np.linspace(0, self.times.size - 1, count).round().astype(int))] + 1.0)
+        hats = np.stack([np.interp(np.log(nodes + 1.0), kept, row) for row in np.eye(kept.size)])
+        return np.asarray(self.size * np.sqrt(kept.size / self.times.size) * hats, np.float64)
+
+
+def record_errors(arterial: InputFunction, nodes: Array) -> Array:
+    """Standard deviations of C_P relative to itself at some times, one independent error after another (m, T).
+
+    Args:
+        arterial: with its samples, and the fit of its parent fraction.
+        nodes: min (T,).
+    """
+    fit, fraction = arterial.parent_fraction_fit, fraction_samples(arterial)
+    metabolised = np.zeros_like(nodes) if fit is None else 1.0 - fit(nodes)
+    return np.concatenate([plasma_samples(arterial).errors(nodes), metabolised * fraction.errors(nodes)])
+
+
+def remark(arterial: InputFunction) -> str:
+    """What is allowed for, in a sentence."""
+    plasma, fraction = plasma_samples(arterial), fraction_samples(arterial)
+    odds = f", the odds of its parent fraction by {fraction.size:.0%}" if fraction.times.size else ""
+    return f"The diagnosis allows for errors of the blood record: samples of plasma scatter by {plasma.size:.0%}{odds}."
+
+
+def plasma_samples(arterial: InputFunction) -> Scattered:
+    """Samples of total plasma, or of C_P where the record holds that, and their relative scatter."""
+    table = arterial.samples
+    column = _AIF if _AIF in table else _PLASMA
+    if column not in table:
+        return Scattered(np.zeros(0), 0.0)
+    known = table[[_TIME, column]].dropna().to_numpy(np.float64)
+    times, values = known[(known > 0).all(axis=1)].T
+    late = times > _SMOOTH
+    if late.sum() <= _POWERS + 1:
+        return Scattered(times, _USUAL)
+    x, y = np.log(times[late]), np.log(values[late])
+    return Scattered(times, _size(y - np.polyval(np.polyfit(x, y, _POWERS), x), _POWERS + 1))
+
+
+def fraction_samples(arterial: InputFunction) -> Scattered:
+    """Samples of the parent fraction, and the scatter of their logarithmic odds about the fitted curve."""
+    fit = arterial.parent_fraction_fit
+    if fit is None:
+        return Scattered(np.zeros(0), 0.0)
+    later = fit.times > 0
+    if not fit.parameters:
+        return Scattered(fit.times[later], _USUAL)
+    left = (_log_odds(fit.values) - _log_odds(fit.fitted))[later]
+    return Scattered(fit.times[later], _size(left, len(fit.parameters) - 1))
+
+
+def _log_odds(share: Array) -> Array:
+    inside = np.clip(share, _NEAREST, 1.0 - _NEAREST)
+    return np.asarray(np.log(inside / (1.0 - inside)), np.float64)
+
+
+def _size(left: Array, parameters: int) -> float:
+    """Robust standard deviation of what a fit of so many parameters left."""
+    if left.size < parameters + _SPARE:
+        return _USUAL
+    return float(np.median(np.abs(left)) / 0.6745 * np.sqrt(left.size / (left.size - parameters)))

@@ -1,7 +1,8 @@
 """Effects withheld from the simulator, and blunders put into the curves, on real scans; and twins that hold no gap.
 
 A withheld effect is real: what the simulator is denied, the scan has. A blunder is known: real noise, real kinetics,
-and one mistake. A twin is the simulator's own fit with noise of the covariance that was estimated, and nothing else.
+and one mistake. A twin is the simulator's own fit with noise of the covariance that was estimated, and nothing else;
+the twin of an erring record is what the fitted kinetics make of a plasma input that errs as its samples scatter.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import diagnose
+from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nominal import base_fit
-from petkin.diagnosis.refit import State, refit
+from petkin.diagnosis.refit import Fit, State, refit
+from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS, effect_named
 from petkin.effects.clock import grown
 from petkin.errors import InputError
@@ -34,6 +37,8 @@ Array = NDArray[np.float64]
 FULL = ("blood_volume", "arterial_delay", "vascular_trapping")
 #: Sizes of the blunders: a gain step and the excess of one frame, relative; a clock that is off, s.
 _STEP, _EXCESS, _LATE_S = 0.10, 0.20, 10.0
+#: An erring record keeps at least this share of what it holds.
+_LEAST = 0.05
 #: The frame and the onset lie in this part of the schedule, drawn by scan.
 _MIDDLE = (0.35, 0.85)
 
@@ -123,6 +128,11 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
     fit, noise, *_ = base_fit(scan.full, values)
     drawn = noise.coloured(rng.standard_normal(values.size))
     yield Case("twin", "twin", (), fit.values + drawn, scan.full)
+    if len(scan.full.errors):
+        erring = _erring(scan.full, fit, noise, rng.spawn(1)[0])
+        yield Case("twin", "erring_record", (), erring, scan.full)
+        exact = replace(scan.full, errors=np.zeros((0, scan.full.nodes.size)))
+        yield Case("twin", "erring_record_as_exact", (), erring, exact)
     yield Case("withheld", "nothing", (), values, scan.full)
     for name in ("blood_volume", "vascular_trapping"):
         yield Case("withheld", name, (name,), values, scan.cut(name), rival)
@@ -147,6 +157,15 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
         factor = blunder(scan.full.clock, rng)
         for simulator in (scan.full, scan.cut("vascular_trapping")):
             yield Case("blunder", name, (name,), values * factor, simulator, (values, simulator), factor)
+
+
+def _erring(simulator: RegionalSimulator, fit: Fit, noise: Noise, rng: np.random.Generator) -> Array:
+    """Curves (C, K) of a plasma input that departs from its record, with the noise beside it."""
+    factor = np.maximum(1.0 + rng.standard_normal(len(simulator.errors)) @ simulator.errors, _LEAST)
+    plasma = PiecewiseLinear(simulator.nodes, factor * np.asarray(simulator.input.plasma(simulator.nodes)))
+    other = replace(simulator, input=replace(simulator.input, plasma=plasma))
+    beside = Noise(noise.spread, noise.size, noise.share)
+    return other.predict(fit.state.own, fit.state.shared) + beside.coloured(rng.standard_normal(fit.values.size))
 
 
 def _stepped(clock: FrameObservation, rng: np.random.Generator) -> Array:

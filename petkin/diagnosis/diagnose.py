@@ -148,13 +148,12 @@ def _explained(simulator: Simulator, data: Array, first: _Explained, always: fro
 def _quieter(simulator: Simulator, data: Array, noise: Noise, base: Fit, fit: Fit) -> Noise:
     """Noise weighed by what an explanation predicts, and no larger than it leaves; as it was where that is the same."""
     before, after = (simulator.spread(np.maximum(f.values, 0.0)) for f in (base, fit))
-    errors = simulator.unsure(fit.state.own, fit.state.shared, fit.state.terms)
-    weighed = replace(noise, spread=noise.spread * after / before, errors=errors)
+    weighed = replace(noise, spread=noise.spread * after / before)
     least = least_noise(simulator, fit.values, weighed.spread)
     level = levels(fit.values, weighed.spread)
     found = lowered(weighed, weighed.without_errors(data - fit.values), fit.jacobian.shape[1], level, least)
     same = np.abs(after / before - 1.0).max() < _SAME_SPREAD and (found.size > 0.97 * noise.size).all()
-    return noise if same and not len(errors) and found.share > noise.share - 0.05 else found
+    return noise if same and found.share > noise.share - 0.05 else found
 
 
 def _verdict(

@@ -184,7 +184,7 @@ class Simulator(Protocol):
         """
         ...
 
-    def unsure(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+    def unsure(self, own: Array, shared: Array) -> Array:
         """What channels gain (n, C, K) by one standard deviation of every error of what drives them, as far as it is
         known to have any."""
         ...

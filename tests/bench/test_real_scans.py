@@ -29,6 +29,29 @@ def test_trapping_is_told_from_a_few_rivals(shared_data: Path) -> None:
     assert (row["scans"], row["alarms"], row["leads"]) == (2, 2, 2)
 
 
+def test_a_record_that_errs_is_a_gap_only_where_it_is_taken_as_exact(shared_data: Path) -> None:
+    cases = ("erring_record", "erring_record_as_exact")
+    rows = [
+        row
+        for seed in (0, 2)
+        for row in measure_real(shared_data / "pbr28", subjects=("flfp",), only=cases, blood="fitted", seed=seed)
+    ]
+    known, exact = ([row["kind"] != "none" for row in rows if row["case"] == case] for case in cases)
+    assert len(known) == len(exact) == 4
+    assert not any(known)
+    assert sum(exact) >= 3
+
+
+def test_a_mean_life_is_named_where_blood_may_err(shared_data: Path) -> None:
+    """As the record stands a free trapping follows it better in these two scans."""
+    named = {}
+    for blood in ("recorded", "fitted"):
+        rows = measure_real(shared_data / "pbr28", subjects=("cgyu",), only=("mean_life_swap",), blood=blood)
+        bare = [row for row in rows if "vascular_trapping" not in str(row["simulator"])]
+        named[blood] = [row["first"] for row in bare]
+    assert named == {"recorded": [False, False], "fitted": [True, True]}
+
+
 def test_a_rival_of_no_catalogue_is_one_line(shared_data: Path) -> None:
     with pytest.raises(InputError, match="nonsense"):
         measure_real(shared_data / "pbr28", rivals=("nonsense",))

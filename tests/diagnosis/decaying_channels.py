@@ -47,7 +47,7 @@ class DecayingChannels:
     def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
         return np.zeros((0, len(self.channels), len(self.times)))
 
-    def unsure(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+    def unsure(self, own: Array, shared: Array) -> Array:
         return np.zeros((0, len(self.channels), len(self.times)))
 
     def spread(self, values: Array) -> Array:

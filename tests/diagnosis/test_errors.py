@@ -22,8 +22,8 @@ TRIALS, SD, SIZE = 30, 0.05, 0.04
 class Shaken(DecayingChannels):
     """All channels swing with what drives them, by errors of which two are known."""
 
-    def unsure(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
-        return SIZE * swings(self.times)[:, None] * self.predict(own, shared, terms)
+    def unsure(self, own: Array, shared: Array) -> Array:
+        return SIZE * swings(self.times)[:, None] * self.predict(own, shared)
 
 
 def swings(t: Array) -> Array:

@@ -176,19 +176,19 @@ class RegionalSimulator:
         """C_P departs by courses times the geometric mean of itself and its mean over the scan."""
         plasma = np.asarray(self.input.plasma(self.nodes))
         mean = np.trapezoid(plasma, self.nodes) / self.nodes[-1]
-        return self._departing(own, shared, (), courses(self.nodes) * np.sqrt(np.maximum(plasma * mean, 0.0)))
+        return self._departing(own, shared, courses(self.nodes) * np.sqrt(np.maximum(plasma * mean, 0.0)))
 
-    def unsure(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
+    def unsure(self, own: Array, shared: Array) -> Array:
         """C_P errs as its record does."""
-        return self._departing(own, shared, terms, self.errors * np.asarray(self.input.plasma(self.nodes)))
+        return self._departing(own, shared, self.errors * np.asarray(self.input.plasma(self.nodes)))
 
-    def _departing(self, own: Array, shared: Array, terms: tuple[Term, ...], departures: Array) -> Array:
+    def _departing(self, own: Array, shared: Array, departures: Array) -> Array:
         """What regions gain where C_P departs so (n, nodes)."""
         key = departures.tobytes()
         if key not in self._departed:
             self._departed[key] = tuple(self._under(departure) for departure in departures)
-        here = self.predict(own, shared, terms)
-        found = [(other.predict(own, shared, terms) - here) / _DEPARTURE for other in self._departed[key]]
+        here = self.predict(own, shared)
+        found = [(other.predict(own, shared) - here) / _DEPARTURE for other in self._departed[key]]
         return np.array(found).reshape(-1, *here.shape)
 
     def _under(self, departure: Array) -> RegionalSimulator:

@@ -1,6 +1,9 @@
 """Noise: its size a channel, and the share that a whole sample has in common, without booking a gap as noise.
 
-cov(r_ck, r_dk) = s_c s_d v_ck v_dk ((1 - rho) [c = d] + rho)
+cov(r_ck, r_dk) = s_c s_d v_ck v_dk ((1 - rho u_c^2) [c = d] + rho u_c u_d),   mean u^2 = 1
+
+All u are 1, unless the simulator says that what a sample has in common is a factor of its values: then u_c goes as a
+channel's values over its noise.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ Array = NDArray[np.float64]
 
 #: Values beyond three times their median size, two standard deviations, are cut; what that takes from normal ones.
 _JUMP, _CUT = 3.0, 0.957
-_MOST_SHARED = 0.9
+_MOST_SHARED, _MOST_LOAD = 0.9, 1.8
 #: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
@@ -33,16 +36,27 @@ class Noise:
         spread: v, relative standard deviations (C, K).
         size: s (C,).
         share: rho.
+        load: u (C,); None where all are 1.
     """
 
     spread: Array
     size: Array
     share: float
+    load: Array | None = None
 
     @cached_property
     def mixing(self) -> Array:
-        """R^{-1/2} of R = (1 - rho) I + rho 11' (C, C)."""
-        return inverse_root(len(self.size), np.array(self.share))
+        """R^{-1/2} (C, C)."""
+        return inverse_root(len(self.size), np.array(self.share), self.load)
+
+    def mixed(self, alone: Array, common: Array) -> Array:
+        """What is each channel's own (..., C, K) and what a sample has in common (..., 1, K), in their shares."""
+        part = self.share if self.load is None else self.share * self.load[:, None] ** 2
+        return np.sqrt(1.0 - part) * alone + np.sqrt(part) * common
+
+    def loaded(self, level: Array, size: Array) -> Array | None:
+        """u of channels with such values and sizes (..., C), where this noise has any."""
+        return None if self.load is None else loads(level, size)
 
     @cached_property
     def _scale(self) -> Array:
@@ -58,8 +72,19 @@ class Noise:
         return self._scale * np.linalg.solve(self.mixing, each)
 
 
-def inverse_root(count: int, share: Array) -> Array:
-    """R^{-1/2} for every share (..., C, C), by the two eigenvalues of R."""
+def loads(level: Array, size: Array) -> Array:
+    """u (..., C) of channels with such values and such noise, both in units of v; none is all in common."""
+    ratio = level / size
+    return np.minimum(ratio / np.sqrt((ratio**2).mean(axis=-1, keepdims=True)), _MOST_LOAD)
+
+
+def inverse_root(count: int, share: Array, load: Array | None = None) -> Array:
+    """R^{-1/2} for every share (...) and load (..., C): (..., C, C); by the two eigenvalues of R where loads are 1."""
+    if load is not None:
+        rho = np.asarray(share)[..., None]
+        mixed = (1.0 - rho * load**2)[..., None] * np.eye(count)
+        values, axes = np.linalg.eigh(mixed + rho[..., None] * load[..., :, None] * load[..., None, :])
+        return (axes / np.sqrt(values)[..., None, :]) @ axes.swapaxes(-1, -2)
     lone, common = 1.0 / np.sqrt(1.0 - share), 1.0 / np.sqrt(1.0 + (count - 1) * share)
     everywhere = np.full((count, count), 1.0 / count)
     return lone[..., None, None] * (np.eye(count) - everywhere) + common[..., None, None] * everywhere
@@ -98,14 +123,25 @@ def without_jumps(values: Array) -> Array:
     return np.clip(values, -limit, limit) / _CUT
 
 
-def common_share(residuals: Array) -> Array:
-    """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs."""
+def common_share(residuals: Array, load: Array | None = None) -> Array:
+    """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs, or
+    their products between channels against what loads (..., C) make them."""
     count = residuals.shape[-2]
     if count == 1:
         return np.zeros(residuals.shape[:-2])
+    if load is not None:
+        return _loaded_share(residuals, load)
     together = (residuals.mean(axis=-2) ** 2).mean(axis=-1)
     alone = (residuals**2).mean(axis=(-2, -1))
     return np.clip((count * together / np.maximum(alone, 1e-300) - 1.0) / (count - 1.0), 0.0, _MOST_SHARED)
+
+
+def _loaded_share(residuals: Array, load: Array) -> Array:
+    scaled, squares = residuals * load[..., None], load**2
+    together = (scaled.sum(axis=-2) ** 2 - (scaled**2).sum(axis=-2)).mean(axis=-1)
+    most = squares.sum(axis=-1) ** 2 - (squares**2).sum(axis=-1)
+    alone = (residuals**2).mean(axis=(-2, -1))
+    return np.clip(together / np.maximum(alone * most, 1e-300), 0.0, _MOST_SHARED / squares.max(axis=-1))
 
 
 def outlying(residuals: Array) -> Array:
@@ -159,7 +195,9 @@ def pooled(sizes: Array, freedom: Array, level: Array) -> Array:
     return np.exp(0.5 * (own + (1.0 - trust) * (common - logs)))
 
 
-def size_and_share(loose: Array, freedom: Array, bends: Array, scale: Array, level: Array) -> tuple[Array, Array]:
+def size_and_share(
+    loose: Array, freedom: Array, bends: Array, scale: Array, level: Array, *, factor: bool = False
+) -> tuple[Array, Array]:
     """Size of the noise (..., C) and its share in common (...), from a flexible fit or from second differences.
 
     Args:
@@ -168,16 +206,23 @@ def size_and_share(loose: Array, freedom: Array, bends: Array, scale: Array, lev
         bends: second differences of the simulator's residuals (..., C, K - 2).
         scale: of both, in units of v (C,).
         level: typical size of the values in units of v (C,).
+        factor: whether what a sample has in common is a factor of its values.
     """
     by_fit, by_bends = np.sqrt((loose**2).sum(axis=-1) / freedom), np.sqrt((bends**2).mean(axis=-1))
     fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
     size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
-    relative = (size / scale)[..., None]
-    return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative))
+    relative, load = (size / scale)[..., None], loads(level, size) if factor else None
+    return size, np.where(fitted, common_share(loose / relative, load), common_share(bends / relative, load))
 
 
 def first_floor(
-    residuals: Array, spread: Array, flexible: tuple[Array, Array, list[Array]], level: Array, least: Array
+    residuals: Array,
+    spread: Array,
+    flexible: tuple[Array, Array, list[Array]],
+    level: Array,
+    least: Array,
+    *,
+    factor: bool = False,
 ) -> Noise:
     """The noise after the flexible fit or, where they leave clearly less, from second differences.
 
@@ -187,10 +232,12 @@ def first_floor(
         flexible: as `from_flexible` gives it.
         level: typical size of the values in units of v (C,).
         least: size below which the simulator's own numerical errors count (C,).
+        factor: whether what a sample has in common is a factor of its values.
     """
-    loose, freedom = without_jumps(flexible[0]), flexible[1]
-    size, share = size_and_share(loose, freedom, second_differences(residuals), np.ones(len(spread)), level)
-    return Noise(spread, np.maximum(size, least), float(share))
+    loose, freedom, bends = without_jumps(flexible[0]), flexible[1], second_differences(residuals)
+    size, share = size_and_share(loose, freedom, bends, np.ones(len(spread)), level, factor=factor)
+    size = np.maximum(size, least)
+    return Noise(spread, size, float(share), loads(level, size) if factor else None)
 
 
 def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least: Array) -> Noise:
@@ -201,4 +248,7 @@ def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least
     size = np.maximum(pooled(own, np.full(len(scaled), freedom), level), least)
     if np.log(size / noise.size).mean() >= 0:
         return noise
-    return replace(noise, size=size, share=float(min(noise.share, common_share(scaled / size[:, None]))))
+    load = noise.loaded(level, size)
+    return replace(
+        noise, size=size, share=float(min(noise.share, common_share(scaled / size[:, None], load))), load=load
+    )

@@ -32,7 +32,8 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
         spread = plain * wild
         flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
         least = least_noise(simulator, base.values, spread)
-        noise = first_floor((data - base.values) / spread, spread, flexible, levels(base.values, spread), least)
+        level, factor = levels(base.values, spread), simulator.common_factor
+        noise = first_floor((data - base.values) / spread, spread, flexible, level, least, factor=factor)
         base = refit(simulator, data, noise, base.state)
     loose, freedom, bases = flexible
     size = np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]

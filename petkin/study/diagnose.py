@@ -165,6 +165,7 @@ def _diagnosed(
             replace(h, log_odds=odds.get(h.name, 0.0), witness="image" if h.name in seen else "") for h in candidates
         ),
         always=ALWAYS,
+        elsewhere=None if imaged is None else imaged.elsewhere,
         seed=request.seed,
         progress=progress,
     )

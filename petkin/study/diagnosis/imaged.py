@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, smallest_set
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Elsewhere, Estimate, Fit, smallest_set
 from petkin.io import read_regions
 from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
 from petkin.study.diagnosis.regional import RegionalSimulator
@@ -27,6 +27,12 @@ class Imaged:
     @property
     def log_odds(self) -> dict[str, float]:
         return {} if self.looked is None else self.looked.log_odds
+
+    @property
+    def elsewhere(self) -> Elsewhere | None:
+        """What the image says of a gap of no name."""
+        unnamed = None if self.looked is None else self.looked.contrasted.unnamed
+        return None if unnamed is None else Elsewhere(unnamed, self.log_odds)
 
 
 def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit) -> Picture | None:

@@ -86,7 +86,7 @@ class RegionalSimulator:
 
     @property
     def common_factor(self) -> bool:
-        """Where voxels say how large each region's own noise is, and so how small a part of it frames have in common."""
+        """Where voxels say how large each region's own noise is, and so what part of it frames have in common."""
         return self.grain is not None
 
     @property

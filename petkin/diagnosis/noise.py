@@ -24,6 +24,8 @@ _MOST_SHARED, _MOST_LOAD = 0.9, 1.8
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
 _SCATTER = 3.0
+#: Variances that a sample has in common over those of its channels' own, tried.
+_FACTORS = np.geomspace(0.05, 20.0, 13)
 #: A value this many robust deviations from the other channels is wild; fewer channels than this cannot tell.
 _WILD, _FEW = 3.5, 3
 
@@ -169,25 +171,30 @@ def levels(values: Array, spread: Array) -> Array:
     return np.asarray(np.maximum(found, 1e-12 * max(float(found.max()), 1e-300)), np.float64)
 
 
-def pooled(sizes: Array, freedom: Array, level: Array) -> Array:
+def pooled(sizes: Array, freedom: Array, level: Array, *, factor: bool = False) -> Array:
     """Sizes (..., C) drawn to what is common to them, all the more the less they differ beyond their own errors.
 
-    That is one size in units of v or one share of the channels' values, whichever they differ less from. ln s^2 varies
-    by _SCATTER / freedom about its channel's, and channels differ by what is left of its variance.
+    That is one size in units of v or one share of the channels' values, whichever they differ less from; or both at
+    once, s^2 (1 + kappa level^2), where samples have a factor in common. ln s^2 varies by _SCATTER / freedom about its
+    channel's, and channels differ by what is left of its variance.
 
     Args:
         sizes: each channel's own.
         freedom: degrees of freedom (C,).
         level: typical size of the values in units of v (C,).
+        factor: whether what a sample has in common is a factor of its values.
 
     Reference: Efron B, Morris C. J Am Stat Assoc 1973;68:117-130 (sizes drawn to each other).
     """
     if sizes.shape[-1] == 1:
         return sizes
     own = np.log(np.maximum(sizes, 1e-300) ** 2)
-    share = own - 2.0 * np.log(level)
-    by_share = share.var(axis=-1, keepdims=True) < own.var(axis=-1, keepdims=True)
-    logs = np.where(by_share, share, own)
+    laws = [np.zeros_like(level), 2.0 * np.log(level)]
+    if factor:
+        laws += [np.log1p(kappa * level**2 / (level**2).mean()) for kappa in _FACTORS]
+    each = own[..., None, :] - np.stack(laws)
+    nearest = each.var(axis=-1).argmin(axis=-1)[..., None, None]
+    logs = np.take_along_axis(each, nearest, axis=-2)[..., 0, :]
     error = _SCATTER / freedom
     between = np.maximum(logs.var(axis=-1, ddof=1, keepdims=True) - error.mean(), 0.0)
     trust, weight = between / (between + error), 1.0 / (between + error)
@@ -210,7 +217,7 @@ def size_and_share(
     """
     by_fit, by_bends = np.sqrt((loose**2).sum(axis=-1) / freedom), np.sqrt((bends**2).mean(axis=-1))
     fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
-    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
+    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level, factor=factor)
     relative, load = (size / scale)[..., None], loads(level, size) if factor else None
     return size, np.where(fitted, common_share(loose / relative, load), common_share(bends / relative, load))
 
@@ -245,7 +252,8 @@ def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least
     scaled = without_jumps(residuals / noise.spread)
     freedom = max(scaled.size - parameters, scaled.size // 3) / len(scaled)
     own = np.sqrt((scaled**2).sum(axis=1) / freedom)
-    size = np.maximum(pooled(own, np.full(len(scaled), freedom), level), least)
+    drawn = pooled(own, np.full(len(scaled), freedom), level, factor=noise.load is not None)
+    size = np.maximum(drawn, least)
     if np.log(size / noise.size).mean() >= 0:
         return noise
     load = noise.loaded(level, size)

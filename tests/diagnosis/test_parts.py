@@ -76,6 +76,16 @@ def test_a_factor_of_the_values_weighs_less_in_noisier_channels() -> None:
     assert np.mean(found**2) == pytest.approx(1.0)
 
 
+def test_sizes_of_a_factor_are_drawn_to_its_law() -> None:
+    """Channels of one own noise whose values are unlike: what they have in common grows with the values."""
+    level, freedom = np.array([27.0, 18.0, 15.0, 5.0, 3.0]), np.full(5, 20.0)
+    true = np.sqrt(1.0 + 3.0 * level**2 / np.mean(level**2))
+    rough = true * np.exp(0.15 * np.random.default_rng(7).standard_normal((400, 5)))
+    error = [np.log(pooled(rough, freedom, level, factor=factor) / true).std() for factor in (True, False)]
+    assert error[0] < 0.12
+    assert error[0] < 0.8 * error[1]
+
+
 def test_only_a_simulator_that_says_so_has_loads() -> None:
     rng = np.random.default_rng(8)
     simulator = DecayingChannels()

@@ -169,7 +169,7 @@ def _diagnosed(
         seed=request.seed,
         progress=progress,
     )
-    if imaged is not None and imaged.looked is not None:
+    if imaged is not None:
         found = weighed(found, imaged.looked)
     found = found if scatter is None else scattered(found, scatter)
     gap = None if imaged is None else gap_map(imaged.voxels, found, simulator.clock)

@@ -105,8 +105,9 @@ def test_blur_is_named_with_its_width(tmp_path: Path) -> None:
     assert estimate["low"] < estimate["value"] < estimate["high"]
 
 
-def test_failing_planes_are_a_gap_of_no_name_within_regions(tmp_path: Path) -> None:
-    answer = diagnosed(spoilt(tmp_path, failing=0.3), tmp_path / "out").answer
+@pytest.mark.parametrize("without", [(), ("partial_volume", "motion_step", "motion_drift", "attenuation_mismatch")])
+def test_failing_planes_are_a_gap_of_no_name_within_regions(tmp_path: Path, without: tuple[str, ...]) -> None:
+    answer = diagnosed(spoilt(tmp_path, failing=0.3), tmp_path / "out", without=without).answer
     jsonschema.validate(answer, SCHEMA)
     assert answer["verdict"]["kind"] == "unknown"
     assert "within regions" in answer["verdict"]["sentence"]

@@ -59,8 +59,8 @@ class Looked:
         return {n: float(np.logaddexp(np.log(_UNSEEN[n]), np.log1p(-_UNSEEN[n]) + e)) for n, e in found.items()}
 
 
-def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *, seed: int) -> Looked | None:
-    """Contrasts of an image against every spatial effect that may be missing; None where there is none of them.
+def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *, seed: int) -> Looked:
+    """Contrasts of an image against every spatial effect that may be missing, and gaps of no name.
 
     Args:
         voxels: of its segmentation.
@@ -77,8 +77,6 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         families[contrast.family] = scene.family(contrast, variation)
         patterns += scene.patterns(contrast, simulator)
     patterns = [pattern for pattern in patterns if pattern.name in names]
-    if not patterns:
-        return None
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
     rng = np.random.default_rng((seed, len(patterns)))
     unnamed = departures(voxels, variation, simulator.clock.frames.mid)

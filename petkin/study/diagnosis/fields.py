@@ -9,7 +9,7 @@ as it is seen, centred within every region, and turned there so that they share 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from petkin.study.diagnosis.variation import Variation
 
 Array = NDArray[np.float64]
 
-#: Half waves along one axis, and along several at once.
-_ALONG, _ACROSS = 6, 2
+#: Half waves along one axis; along so many at once, up to how many along each.
+_ALONG, _ACROSS = 6, ((2, 3), (3, 2))
 #: Waves fade by this power of their number, as rougher fields are less likely; planes are as rough as that.
 _FADING, _PLANES = 0.5, 0.5
 #: Directions with less of the noise than this share of the largest are left out; sizes below this share of the mean
@@ -50,9 +50,10 @@ def _fields(voxels: Voxels) -> Iterator[Array]:
     for axis in axes:
         along = [(1.0 + i) ** -_FADING * waves[i, axis] for i in range(1, _ALONG + 1)]
         yield np.stack([*along, _PLANES * (-1.0) ** at[axis]])
-    across = [n for n in product(range(_ACROSS + 1), repeat=len(axes)) if np.count_nonzero(n) > 1]
-    if across:
-        yield np.stack([(1.0 + sum(n)) ** -_FADING * waves[n, axes].prod(axis=0) for n in map(list, across)])
+    for count, most in _ACROSS:
+        for plane in combinations(axes, count):
+            numbers = product(range(1, most + 1), repeat=count)
+            yield np.stack([(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers])
 
 
 def _seen(voxels: Voxels, variation: Variation, bright: Array, fields: Array) -> tuple[Family, Array]:

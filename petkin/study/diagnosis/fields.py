@@ -29,16 +29,20 @@ _FADING, _PLANES = 0.5, 0.5
 _LEAST, _FLOOR = 1e-2, 0.3
 
 
-def departures(voxels: Voxels, variation: Variation, times: Array) -> list[Departure]:
+def departures(voxels: Voxels, variation: Variation, times: Array, *, least: float) -> list[Departure]:
     """Contrasts that see such gains: along every axis, and across several.
 
     Args:
         voxels: of a segmentation.
         variation: how kinetics vary within its regions.
         times: of the frames (K,), min.
+        least: smallest standard deviation that noise may have.
     """
     bright = voxels.total(voxels.seen)
-    return [Departure(*_seen(voxels, variation, bright, fields), np.maximum(times, 0.0)) for fields in _fields(voxels)]
+    return [
+        Departure(*_seen(voxels, variation, bright, fields, least), np.maximum(times, 0.0))
+        for fields in _fields(voxels)
+    ]
 
 
 def _fields(voxels: Voxels) -> Iterator[Array]:
@@ -56,9 +60,9 @@ def _fields(voxels: Voxels) -> Iterator[Array]:
             yield np.stack([(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers])
 
 
-def _seen(voxels: Voxels, variation: Variation, bright: Array, fields: Array) -> tuple[Family, Array]:
+def _seen(voxels: Voxels, variation: Variation, bright: Array, fields: Array, least: float) -> tuple[Family, Array]:
     """Contrasts of fields, and what unit gains add to them."""
-    weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]))
+    weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
     nuisance = np.concatenate([variation.joint(weights), _there(voxels, weights)])
     rows = _stacked([voxels.sums(each) for each in weights])
     seen, courses = voxels.seen, voxels.picture.courses
@@ -80,13 +84,14 @@ def _there(voxels: Voxels, weights: Array) -> Array:
     return columns.reshape(len(each) * count, -1, frames)
 
 
-def _apart(voxels: Voxels, weights: Array) -> Array:
+def _apart(voxels: Voxels, weights: Array, least: float) -> Array:
     """Weights (F, N) turned within every region so that their sums have noise of size one, and share none."""
     found = np.zeros_like(weights)
     for r, covariance in enumerate(voxels.picture.grain.covariances(weights)):
         size, axes = np.linalg.eigh(covariance)
-        kept = size > _LEAST * max(float(size[-1]), 1e-300)
-        believed = np.maximum(size[kept], _FLOOR * float(size[kept].mean()) if kept.any() else 0.0)
+        size = np.maximum(size, least**2)
+        kept = size > _LEAST * size[-1]
+        believed = np.maximum(size[kept], _FLOOR * size[kept].mean())
         mine = voxels.place == r
         found[: int(kept.sum()), mine] = (axes[:, kept] / np.sqrt(believed)).T @ weights[:, mine]
     return found

@@ -79,7 +79,7 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     patterns = [pattern for pattern in patterns if pattern.name in names]
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
     rng = np.random.default_rng((seed, len(patterns)))
-    unnamed = departures(voxels, variation, simulator.clock.frames.mid)
+    unnamed = departures(voxels, variation, simulator.clock.frames.mid, least=least)
     found = judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
     return Looked(found, width)
 

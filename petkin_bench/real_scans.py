@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import diagnose
-from petkin.diagnosis.noise import Noise
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import Fit, State, refit
 from petkin.dynamics import PiecewiseLinear

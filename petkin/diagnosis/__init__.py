@@ -2,16 +2,19 @@
 
 from petkin.diagnosis.alone import each_alone
 from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
-from petkin.diagnosis.contrasts import Contrasted, Family, Pattern, judge_contrasts
+from petkin.diagnosis.contrasts import Contrasted, Pattern, judge_contrasts
+from petkin.diagnosis.covariance import Noise
+from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import Visible, indistinct
 from petkin.diagnosis.diagnose import CLAIM, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
-from petkin.diagnosis.noise import Noise, second_differences
+from petkin.diagnosis.families import Family
+from petkin.diagnosis.noise import second_differences
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states
-from petkin.diagnosis.unknown import DRIVE, ONE
+from petkin.diagnosis.unknown import DRIVE, ONE, WITHIN, Elsewhere
 from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate
 
 __all__ = [
@@ -19,11 +22,14 @@ __all__ = [
     "CLAIM",
     "DRIVE",
     "ONE",
+    "WITHIN",
     "Cause",
     "Cohort",
     "Contrasted",
     "Coordinates",
+    "Departure",
     "Diagnosis",
+    "Elsewhere",
     "Estimate",
     "Family",
     "Fit",

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from numpy.typing import NDArray
 
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.effect import Hypothesis, Simulator
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.refit import Fit, begun
 from petkin.diagnosis.scan import starts
 from petkin.diagnosis.which import refitted

@@ -1,9 +1,9 @@
 """Evidence beside the channels: contrasts that know nothing of a channel's mean, each with a noise of its own.
 
-    c = a e + nuisance + noise,    C = cov c = diag(V_j) + N'N
+    c = a e + nuisance + noise
 
-for all rows j of one family at once. A template's score is e' C^{-1} c, and its evidence is averaged over settings as
-that of any hypothesis. V_j is given: a row's own few samples tell it too roughly.
+for all rows of one family at once. A template's evidence is averaged over settings as that of any hypothesis; a gap of
+no name is one hypothesis more.
 """
 
 from __future__ import annotations
@@ -15,27 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
+from petkin.diagnosis.departures import Departure, judge_departures
 from petkin.diagnosis.detect import p_value
+from petkin.diagnosis.families import Family, root, scored
 
 Array = NDArray[np.float64]
 
 _Z90 = 1.6448536269514722
 _TINY = 1e-300
-
-
-@dataclass(frozen=True)
-class Family:
-    """Contrasts of one kind.
-
-    Args:
-        rows: (J, K).
-        nuisance: columns of what they may hold besides, as large as it may be (n, J, K).
-        size: standard deviation of their noise (J,).
-    """
-
-    rows: Array
-    nuisance: Array
-    size: Array
 
 
 @dataclass(frozen=True)
@@ -79,16 +66,19 @@ class Contrasted:
         evidence: log evidence by hypothesis.
         best: by hypothesis.
         p_value: of none of them.
+        unnamed: log evidence of a gap of no name; None where none was looked for.
     """
 
     evidence: Mapping[str, float]
     best: Mapping[str, Best]
     p_value: float
+    unnamed: float | None = None
 
 
 def judge_contrasts(
     families: Mapping[str, Family],
     patterns: Sequence[Pattern],
+    departures: Sequence[Departure] = (),
     *,
     least: float,
     draws: int,
@@ -99,6 +89,7 @@ def judge_contrasts(
     Args:
         families: contrasts by name.
         patterns: what to look for.
+        departures: where there may be a gap of no name.
         least: smallest standard deviation that noise may have.
         draws: of noise for the p-value.
         rng: randomness.
@@ -108,8 +99,8 @@ def judge_contrasts(
         mine = [pattern for pattern in patterns if pattern.family == name]
         if not mine:
             continue
-        scores, information = _scores(family, np.stack([p.rows.ravel() for p in mine]), least)
-        drawn = rng.standard_normal((draws, len(mine))) @ _root(information)
+        scores, information = scored(family, np.stack([p.rows.ravel() for p in mine]), least)
+        drawn = rng.standard_normal((draws, len(mine))) @ root(information)
         for i, pattern in enumerate(mine):
             size = float(information[i, i])
             entry = (pattern, float(scores[i]), size, _evidence(pattern, drawn[:, i], size))
@@ -121,24 +112,13 @@ def judge_contrasts(
         nulls.append(_mean(np.stack([null for *_, null in entries])))
         pattern, score, information, _ = entries[int(np.argmax(each))]
         best[name] = _sized(pattern, score, information)
-    total = _mean(np.array(list(found.values()))[:, None])[0]
-    return Contrasted({n: float(v) for n, v in found.items()}, best, p_value(total, _mean(np.stack(nulls))))
-
-
-def _scores(family: Family, columns: Array, least: float) -> tuple[Array, Array]:
-    """E C^{-1} c and E C^{-1} E' of columns E (m, J K), by Woodbury's identity: N has fewer rows than C."""
-    weight = np.repeat(np.maximum(family.size, least) ** -2.0, family.rows.shape[1])
-    nuisance = family.nuisance.reshape(len(family.nuisance), -1)
-    inner = np.eye(len(nuisance)) + (nuisance * weight) @ nuisance.T
-    weighted = columns * weight
-    free = weighted - np.linalg.solve(inner, nuisance @ weighted.T).T @ (nuisance * weight)
-    return free @ family.rows.ravel(), free @ columns.T
-
-
-def _root(covariance: Array) -> Array:
-    """A of A'A = covariance."""
-    values, axes = np.linalg.eigh(covariance)
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T
+    unnamed, every = None, list(found.values())
+    if departures:
+        unnamed, null = judge_departures(departures, least=least, draws=draws, rng=rng)
+        nulls.append(null)
+        every.append(unnamed)
+    p = p_value(_mean(np.array(every)[:, None])[0], _mean(np.stack(nulls)))
+    return Contrasted({n: float(v) for n, v in found.items()}, best, p, unnamed)
 
 
 def _evidence(pattern: Pattern, score: Array, information: float) -> Array:

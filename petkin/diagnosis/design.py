@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Hypothesis, Simulator, Term
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.scan import Template

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from petkin.diagnosis.noise import Noise, inverse_root, outlying, second_differences, size_and_share, without_jumps
+from petkin.diagnosis.covariance import Noise, inverse_root
+from petkin.diagnosis.noise import outlying, second_differences, size_and_share, without_jumps
 
 Array = NDArray[np.float64]
 
@@ -53,17 +54,18 @@ def noise_draws(
         bases: what the flexible fit took from every channel (K, active).
         level: typical size of the values in units of the spread (C,).
     """
-    (channels, samples), share = noise.spread.shape, noise.share
+    channels, samples = noise.spread.shape
     alone = _tailed(rng, (count, channels, samples), freedom)
     common = _tailed(rng, (count, 1, samples), freedom)
-    draws = np.sqrt(1.0 - share) * alone + np.sqrt(share) * common
+    draws = noise.mixed(alone, common)
     draws = draws / outlying(draws)
     left = np.stack([draws[:, c] - (draws[:, c] @ axes) @ axes.T for c, axes in enumerate(bases)], axis=1)
     left = without_jumps(left)
     degrees = np.array([max(samples - axes.shape[1], 1) for axes in bases], float)
-    size, shares = size_and_share(left, degrees, second_differences(draws), noise.size, level)
+    bends, factor = second_differences(draws), noise.load is not None
+    size, shares = size_and_share(left, degrees, bends, noise.size, level, factor=factor)
     relative = (size / noise.size)[..., None]
-    mixing = inverse_root(channels, shares)
+    mixing = inverse_root(channels, shares, noise.loaded(level, size))
     white = np.einsum("bcd,bdk->bck", mixing, draws / relative).reshape(count, -1)
     return noise.settled(white + noise.erring(rng, count))
 

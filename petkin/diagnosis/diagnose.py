@@ -8,19 +8,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible, foresee
 from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
 from petkin.diagnosis.effect import Hypothesis, Simulator
 from petkin.diagnosis.estimates import estimates, regions, setting, strengths
 from petkin.diagnosis.how_far import closure
-from petkin.diagnosis.noise import Noise, levels, lowered
+from petkin.diagnosis.noise import levels, lowered
 from petkin.diagnosis.nominal import base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, begun, refit
 from petkin.diagnosis.scan import Scan, Template, starts, templates
 from petkin.diagnosis.sets import LAPSE, confusability, probabilities, smallest_set
-from petkin.diagnosis.unknown import Smooth, beside, driven
+from petkin.diagnosis.unknown import Elsewhere, Smooth, beside, driven
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import over
 from petkin.diagnosis.which import Candidate, again, refitted, singles
@@ -63,6 +64,7 @@ def diagnose(
     hypotheses: Sequence[Hypothesis],
     *,
     always: frozenset[str] = frozenset(),
+    elsewhere: Elsewhere | None = None,
     seed: int = 0,
     draws: int = _DRAWS,
     progress: Progress = _silent,
@@ -74,6 +76,7 @@ def diagnose(
         data: (C, K), finite.
         hypotheses: effects that may be missing.
         always: names that get a refit however they look in the scan.
+        elsewhere: what was seen beside the channels, in what they are means of.
         seed: of the draws.
         draws: how many.
         progress: told what is being done, and how far it is.
@@ -88,7 +91,7 @@ def diagnose(
     progress("refitting the likely ones", 0.4)
     explained = _explained(simulator, data, _Explained(noise, base, scan, []), always)
     progress("weighing", 0.8)
-    return _verdict(simulator, data, explained, hypotheses, p, drawn)
+    return _verdict(simulator, data, explained, hypotheses, elsewhere, p, drawn)
 
 
 def draws_left(
@@ -161,12 +164,16 @@ def _verdict(
     data: Array,
     explained: _Explained,
     hypotheses: Sequence[Hypothesis],
+    elsewhere: Elsewhere | None,
     p: float,
     drawn: Array,
 ) -> Diagnosis:
     shape = (data.shape[0], data.shape[1])
     noise, base, ranked, projection = explained.noise, explained.base, explained.ranked, explained.projection
-    unnamed, named = float(explained.scan.unknown(base.residual)), beside(simulator.times, noise, ranked)
+    unnamed, place = float(explained.scan.unknown(base.residual)), explained.scan.unnamed(base.residual)
+    if elsewhere is not None:
+        unnamed, place = elsewhere.joined(unnamed), elsewhere.place(unnamed, place)
+    named = beside(simulator.times, noise, ranked, elsewhere)
     probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=LAPSE)
     present = p <= CLAIM
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
@@ -216,7 +223,7 @@ def _verdict(
         evidence={c.label: (stage[c.label], c.log_evidence) for c in ranked if len(c.names) == 1},
         strengths=strengths(ranked, explained.scan, simulator, base),
         unknown_evidence=unnamed,
-        unknown_place=explained.scan.unnamed(base.residual),
+        unknown_place=place,
         visible=foresee(simulator, noise, base, explained.scan.templates),
         alike=alike,
         likely=causes,

@@ -168,6 +168,11 @@ class Simulator(Protocol):
         """Relative error of its predictions."""
         ...
 
+    @property
+    def common_factor(self) -> bool:
+        """Whether noise that a whole sample has in common is a factor of its values; else as large as each's own."""
+        ...
+
     def predict(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
         """Values (..., channels, samples) for `own` (..., channels, parameters) and `shared` (parameters,)."""
         ...

@@ -1,112 +1,28 @@
-"""Noise: its size a channel, and the share that a whole sample has in common, without booking a gap as noise.
-
-cov(r_ck, r_dl) = s_c s_d v_ck v_dk ((1 - rho) [c = d] + rho) [k = l] + sum_m b_mck b_mdl
-
-b_m what the channels show of one standard deviation of an error of what drives them, where that is known with errors.
-"""
+"""Noise estimated: its sizes and the share that a whole sample has in common, without booking a gap as noise."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from petkin.diagnosis.covariance import Noise, loads
+
 Array = NDArray[np.float64]
 
 #: Values beyond three times their median size, two standard deviations, are cut; what that takes from normal ones.
 _JUMP, _CUT = 3.0, 0.957
-_MOST_SHARED = 0.9
+#: The largest share in common; where it is a factor of values, which gains of all channels are too, the largest share
+#: and the variances in common over those of channels' own that are tried.
+_MOST_SHARED, _MOST_FACTOR, _FACTORS = 0.9, 0.6, np.geomspace(0.05, 2.5, 10)
 #: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
 _SCATTER = 3.0
 #: A value this many robust deviations from the other channels is wild; fewer channels than this cannot tell.
 _WILD, _FEW = 3.5, 3
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Covariance of the residuals.
-
-    Args:
-        spread: v, relative standard deviations (C, K).
-        size: s (C,).
-        share: rho.
-        errors: b, what channels show of errors of what drives them (M, C, K).
-    """
-
-    spread: Array
-    size: Array
-    share: float
-    errors: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
-
-    @cached_property
-    def mixing(self) -> Array:
-        """R^{-1/2} of R = (1 - rho) I + rho 11' (C, C)."""
-        return inverse_root(len(self.size), np.array(self.share))
-
-    @cached_property
-    def _scale(self) -> Array:
-        return self.size[:, None] * self.spread
-
-    @cached_property
-    def _errors(self) -> tuple[Array, Array]:
-        """Orthonormal directions (C K, M) of errors of what drives the channels, and their sizes (M,), in units of the
-        noise beside them."""
-        axes, size, _ = np.linalg.svd(self._beside(self.errors).T, full_matrices=False)
-        return axes, size
-
-    def _beside(self, values: Array) -> Array:
-        """Values (..., C, K) in units in which noise is white but for errors of what drives the channels."""
-        return (self.mixing @ (values / self._scale)).reshape(*values.shape[:-2], values.shape[-2] * values.shape[-1])
-
-    def _back(self, white: Array) -> Array:
-        """What `_beside` makes into these."""
-        each = white.reshape(*white.shape[:-1], *self.spread.shape)
-        return self._scale * np.linalg.solve(self.mixing, each)
-
-    def whiten(self, values: Array) -> Array:
-        """Values (..., C, K) in units in which noise is white, flattened to (..., C K)."""
-        return self.settled(self._beside(values))
-
-    def settled(self, white: Array) -> Array:
-        """Values white but for errors of what drives the channels (..., C K), white with them."""
-        return self._along(white, lambda size: 1.0 / np.sqrt(1.0 + size**2))
-
-    def coloured(self, white: Array) -> Array:
-        """What `whiten` makes into these (..., C K): values (..., C, K)."""
-        return self._back(self._along(white, lambda size: np.sqrt(1.0 + size**2)))
-
-    def erring(self, rng: np.random.Generator, count: int) -> Array:
-        """Draws (count, C K) of errors of what drives the channels, in units of the noise beside them."""
-        if not len(self.errors):
-            return np.zeros((count, self.spread.size))
-        axes, size = self._errors
-        return np.asarray((rng.standard_normal((count, len(size))) * size) @ axes.T, np.float64)
-
-    def without_errors(self, residuals: Array) -> Array:
-        """Residuals (C, K) less what is likeliest to come from errors of what drives the channels."""
-        if not len(self.errors):
-            return residuals
-        return self._back(self._along(self._beside(residuals), lambda size: 1.0 / (1.0 + size**2)))
-
-    def _along(self, white: Array, factor: Callable[[Array], Array]) -> Array:
-        """Values with those directions stretched by a factor of their size."""
-        if not len(self.errors):
-            return white
-        axes, size = self._errors
-        return white + ((white @ axes) * (factor(size) - 1.0)) @ axes.T
-
-
-def inverse_root(count: int, share: Array) -> Array:
-    """R^{-1/2} for every share (..., C, C), by the two eigenvalues of R."""
-    lone, common = 1.0 / np.sqrt(1.0 - share), 1.0 / np.sqrt(1.0 + (count - 1) * share)
-    everywhere = np.full((count, count), 1.0 / count)
-    return lone[..., None, None] * (np.eye(count) - everywhere) + common[..., None, None] * everywhere
 
 
 def from_flexible(curves: Array, spread: Array, dictionary: Array) -> tuple[Array, Array, list[Array]]:
@@ -142,14 +58,26 @@ def without_jumps(values: Array) -> Array:
     return np.clip(values, -limit, limit) / _CUT
 
 
-def common_share(residuals: Array) -> Array:
-    """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs."""
+def common_share(residuals: Array, load: Array | None = None) -> Array:
+    """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs, or
+    their products between channels against what loads (..., C) make them."""
     count = residuals.shape[-2]
     if count == 1:
         return np.zeros(residuals.shape[:-2])
+    if load is not None:
+        return _loaded_share(residuals, load)
     together = (residuals.mean(axis=-2) ** 2).mean(axis=-1)
     alone = (residuals**2).mean(axis=(-2, -1))
     return np.clip((count * together / np.maximum(alone, 1e-300) - 1.0) / (count - 1.0), 0.0, _MOST_SHARED)
+
+
+def _loaded_share(residuals: Array, load: Array) -> Array:
+    scaled, squares = residuals * load[..., None], load**2
+    together = (scaled.sum(axis=-2) ** 2 - (scaled**2).sum(axis=-2)).mean(axis=-1)
+    most = squares.sum(axis=-1) ** 2 - (squares**2).sum(axis=-1)
+    alone = (residuals**2).mean(axis=(-2, -1))
+    largest = np.minimum(_MOST_FACTOR, _MOST_SHARED / squares.max(axis=-1))
+    return np.clip(together / np.maximum(alone * most, 1e-300), 0.0, largest)
 
 
 def outlying(residuals: Array) -> Array:
@@ -177,25 +105,30 @@ def levels(values: Array, spread: Array) -> Array:
     return np.asarray(np.maximum(found, 1e-12 * max(float(found.max()), 1e-300)), np.float64)
 
 
-def pooled(sizes: Array, freedom: Array, level: Array) -> Array:
+def pooled(sizes: Array, freedom: Array, level: Array, *, factor: bool = False) -> Array:
     """Sizes (..., C) drawn to what is common to them, all the more the less they differ beyond their own errors.
 
-    That is one size in units of v or one share of the channels' values, whichever they differ less from. ln s^2 varies
-    by _SCATTER / freedom about its channel's, and channels differ by what is left of its variance.
+    That is one size in units of v or one share of the channels' values, whichever they differ less from; or both at
+    once, s^2 (1 + kappa level^2), where samples have a factor in common. ln s^2 varies by _SCATTER / freedom about its
+    channel's, and channels differ by what is left of its variance.
 
     Args:
         sizes: each channel's own.
         freedom: degrees of freedom (C,).
         level: typical size of the values in units of v (C,).
+        factor: whether what a sample has in common is a factor of its values.
 
     Reference: Efron B, Morris C. J Am Stat Assoc 1973;68:117-130 (sizes drawn to each other).
     """
     if sizes.shape[-1] == 1:
         return sizes
     own = np.log(np.maximum(sizes, 1e-300) ** 2)
-    share = own - 2.0 * np.log(level)
-    by_share = share.var(axis=-1, keepdims=True) < own.var(axis=-1, keepdims=True)
-    logs = np.where(by_share, share, own)
+    laws = [np.zeros_like(level), 2.0 * np.log(level)]
+    if factor:
+        laws += [np.log1p(kappa * level**2 / (level**2).mean()) for kappa in _FACTORS]
+    each = own[..., None, :] - np.stack(laws)
+    nearest = each.var(axis=-1).argmin(axis=-1)[..., None, None]
+    logs = np.take_along_axis(each, nearest, axis=-2)[..., 0, :]
     error = _SCATTER / freedom
     between = np.maximum(logs.var(axis=-1, ddof=1, keepdims=True) - error.mean(), 0.0)
     trust, weight = between / (between + error), 1.0 / (between + error)
@@ -203,7 +136,9 @@ def pooled(sizes: Array, freedom: Array, level: Array) -> Array:
     return np.exp(0.5 * (own + (1.0 - trust) * (common - logs)))
 
 
-def size_and_share(loose: Array, freedom: Array, bends: Array, scale: Array, level: Array) -> tuple[Array, Array]:
+def size_and_share(
+    loose: Array, freedom: Array, bends: Array, scale: Array, level: Array, *, factor: bool = False
+) -> tuple[Array, Array]:
     """Size of the noise (..., C) and its share in common (...), from a flexible fit or from second differences.
 
     Args:
@@ -212,16 +147,23 @@ def size_and_share(loose: Array, freedom: Array, bends: Array, scale: Array, lev
         bends: second differences of the simulator's residuals (..., C, K - 2).
         scale: of both, in units of v (C,).
         level: typical size of the values in units of v (C,).
+        factor: whether what a sample has in common is a factor of its values.
     """
     by_fit, by_bends = np.sqrt((loose**2).sum(axis=-1) / freedom), np.sqrt((bends**2).mean(axis=-1))
     fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
-    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
-    relative = (size / scale)[..., None]
-    return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative))
+    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level, factor=factor)
+    relative, load = (size / scale)[..., None], loads(level, size) if factor else None
+    return size, np.where(fitted, common_share(loose / relative, load), common_share(bends / relative, load))
 
 
 def first_floor(
-    residuals: Array, spread: Array, flexible: tuple[Array, Array, list[Array]], level: Array, least: Array
+    residuals: Array,
+    spread: Array,
+    flexible: tuple[Array, Array, list[Array]],
+    level: Array,
+    least: Array,
+    *,
+    factor: bool = False,
 ) -> Noise:
     """The noise after the flexible fit or, where they leave clearly less, from second differences.
 
@@ -231,10 +173,12 @@ def first_floor(
         flexible: as `from_flexible` gives it.
         level: typical size of the values in units of v (C,).
         least: size below which the simulator's own numerical errors count (C,).
+        factor: whether what a sample has in common is a factor of its values.
     """
-    loose, freedom = without_jumps(flexible[0]), flexible[1]
-    size, share = size_and_share(loose, freedom, second_differences(residuals), np.ones(len(spread)), level)
-    return Noise(spread, np.maximum(size, least), float(share))
+    loose, freedom, bends = without_jumps(flexible[0]), flexible[1], second_differences(residuals)
+    size, share = size_and_share(loose, freedom, bends, np.ones(len(spread)), level, factor=factor)
+    size = np.maximum(size, least)
+    return Noise(spread, size, float(share), loads(level, size) if factor else None)
 
 
 def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least: Array) -> Noise:
@@ -242,7 +186,11 @@ def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least
     scaled = without_jumps(residuals / noise.spread)
     freedom = max(scaled.size - parameters, scaled.size // 3) / len(scaled)
     own = np.sqrt((scaled**2).sum(axis=1) / freedom)
-    size = np.maximum(pooled(own, np.full(len(scaled), freedom), level), least)
+    drawn = pooled(own, np.full(len(scaled), freedom), level, factor=noise.load is not None)
+    size = np.maximum(drawn, least)
     if np.log(size / noise.size).mean() >= 0:
         return noise
-    return replace(noise, size=size, share=float(min(noise.share, common_share(scaled / size[:, None]))))
+    load = noise.loaded(level, size)
+    return replace(
+        noise, size=size, share=float(min(noise.share, common_share(scaled / size[:, None], load))), load=load
+    )

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator
-from petkin.diagnosis.noise import Noise, first_floor, from_flexible, levels, outlying
+from petkin.diagnosis.noise import first_floor, from_flexible, levels, outlying
 from petkin.diagnosis.refit import Fit, State, refit
 
 Array = NDArray[np.float64]
@@ -34,7 +35,8 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
         spread = plain * wild
         flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))
         least = least_noise(simulator, base.values, spread)
-        noise = first_floor((data - base.values) / spread, spread, flexible, levels(base.values, spread), least)
+        level, factor = levels(base.values, spread), simulator.common_factor
+        noise = first_floor((data - base.values) / spread, spread, flexible, level, least, factor=factor)
         noise = replace(noise, errors=simulator.unsure(base.state.own, base.state.shared))
         base = refit(simulator, data, noise, base.state)
     loose, freedom, bases = flexible

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Hypothesis, Simulator, Term, foreknown
 from petkin.diagnosis.evidence import SECOND
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, begun
 from petkin.diagnosis.scan import Scan, Template, starts

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Array, Hypothesis, Shape, Simulator, Term
-from petkin.diagnosis.noise import Noise
 
 #: Iterations, the fall of the objective at which they end, and how many more while it falls by more than this.
 _MOST, _SETTLED = 12, 0.01

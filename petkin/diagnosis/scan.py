@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Hypothesis, Simulator, Term
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.unknown import Smooth

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.detect import p_value
-from petkin.diagnosis.noise import Noise
 
 Array = NDArray[np.float64]
 

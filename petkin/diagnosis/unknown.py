@@ -12,7 +12,7 @@ doi:10.1080/01621459.2016.1211016
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 
@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 #: Where a discrepancy is: in all channels alike, in each for itself, both, in one alone; or in what drives them all.
 ALL, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
+#: Or in what channels are means of, where somebody looked beside them.
+WITHIN = "within"
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
 _COUNT, _FADING = 12, 0.5
 #: Scales of time on which a discrepancy is smooth, and how far beyond the samples it goes on, in shares of their span.
@@ -42,6 +44,9 @@ _STRANGER, _SMALL, _BESIDE = evidence.SECOND, 0.2, 6
 
 class Explanation(Protocol):
     """A named explanation with its evidence and its fit."""
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
 
     @property
     def fit(self) -> Fit | None: ...
@@ -119,6 +124,11 @@ def _groups(channels: int) -> dict[str, NDArray[np.intp]]:
     return {ALL: common, EACH: alone, BOTH: every[None], ONE: alone.reshape(_COUNT, channels).T}
 
 
+def courses(times: Array) -> tuple[Array, ...]:
+    """Smooth courses w_j phi_j (n, K), on every scale of time."""
+    return tuple(_cosines(scale, times, times) for scale in _SCALES)
+
+
 def _cosines(scale: Callable[[Array], Array], samples: Array, times: Array) -> Array:
     """w_j phi_j (n, T) at any times, on a scale of time that the samples span."""
     first, last = scale(samples[0]), scale(samples[-1])
@@ -148,7 +158,40 @@ def discrepancies(values: Array, cosines: Array) -> Array:
     return np.concatenate([common, alone.reshape(-1, *values.shape)])
 
 
-def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[float]:
+@dataclass(frozen=True)
+class Elsewhere:
+    """What was seen beside the channels, in what they are means of.
+
+    Args:
+        unnamed: log evidence of a gap of no name there.
+        told: what hypotheses were lent from there, in log odds, by name.
+    """
+
+    unnamed: float
+    told: Mapping[str, float]
+
+    def joined(self, here: float) -> float:
+        """log evidence of a gap of no name in the channels, beside them or in both, half of which show nothing there.
+
+        B = B_here / 2 + B_there (1 + B_here) / 4
+        """
+        return float(np.logaddexp(here, self._there(here)) - np.log(2.0))
+
+    def place(self, here: float, likeliest: str) -> str:
+        """Where it is: as in the channels, unless it is likelier to show beside them."""
+        return WITHIN if self._there(here) > here else likeliest
+
+    def _there(self, here: float) -> float:
+        return float(self.unnamed + np.logaddexp(0.0, here) - np.log(2.0))
+
+    def beyond(self, names: Sequence[str]) -> float:
+        """log evidence there that is left beside such names."""
+        return max(self.unnamed - max((self.told.get(name, 0.0) for name in names), default=0.0), 0.0)
+
+
+def beside(
+    times: Array, noise: Noise, ranked: Sequence[Explanation], elsewhere: Elsewhere | None = None
+) -> list[float]:
     """log evidence of each explanation with what it leaves explained by a gap of no name beside it; ranked as they are.
 
     A name that a smooth discrepancy cannot stand in for keeps its claim, whatever else is in the data.
@@ -157,6 +200,7 @@ def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[fl
         times: of the samples.
         noise: its covariance.
         ranked: explanations, best first; those far down, or without a fit, keep their own evidence.
+        elsewhere: what was seen beside the channels.
     """
     found, looked = [], 0
     for candidate in ranked:
@@ -164,7 +208,9 @@ def beside(times: Array, noise: Noise, ranked: Sequence[Explanation]) -> list[fl
         if fit is not None and looked < _BESIDE:
             projection = Projection.of_fit(fit)
             smooth = Smooth.around(fit.values, times, noise, projection)
-            more = min(float(smooth.evidence(projection.left_of(fit))), _SMALL * max(value, 0.0))
+            left = float(smooth.evidence(projection.left_of(fit)))
+            left += 0.0 if elsewhere is None else elsewhere.beyond(candidate.names)
+            more = min(left, _SMALL * max(value, 0.0))
             value = float(np.logaddexp(value, value + more - _STRANGER))
             looked += 1
         found.append(value)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible
 from petkin.diagnosis.how_far import Interval
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.where import Place
 

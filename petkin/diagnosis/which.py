@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term, foreknown
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, State, begun, parts, refit
 from petkin.diagnosis.scan import Scan, starts

@@ -166,10 +166,11 @@ def _diagnosed(
             replace(h, log_odds=odds.get(h.name, 0.0), witness="image" if h.name in seen else "") for h in candidates
         ),
         always=ALWAYS,
+        elsewhere=None if imaged is None else imaged.elsewhere,
         seed=request.seed,
         progress=progress,
     )
-    if imaged is not None and imaged.looked is not None:
+    if imaged is not None:
         found = weighed(found, imaged.looked)
     found = found if scatter is None else scattered(found, scatter)
     gap = None if imaged is None else gap_map(imaged.voxels, found, simulator.clock)

@@ -105,6 +105,10 @@ class MovingBodies:
         return 1e-4
 
     @property
+    def common_factor(self) -> bool:
+        return False
+
+    @property
     def own(self) -> Coordinates:
         count = len(self.body.states)
         return Coordinates(self.body.states, np.zeros(count), np.full(count, _WIDE), np.full(count, _STEP))

@@ -17,7 +17,7 @@ def _no_axes(jacobian: Any, penalty: Any) -> Projection:
     return Projection(np.zeros((len(jacobian) + len(penalty), 0)), len(jacobian))
 
 
-def _no_share(residuals: Any) -> Any:
+def _no_share(residuals: Any, _: Any = None) -> Any:
     return np.zeros(residuals.shape[:-2])
 
 

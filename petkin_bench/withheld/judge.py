@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis, diagnose
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.diagnose import scan_of
-from petkin.diagnosis.noise import Noise
 from petkin.diagnosis.refit import State, refit
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS, effect_named

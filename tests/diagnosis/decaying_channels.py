@@ -20,6 +20,7 @@ class DecayingChannels:
     channels: tuple[str, ...] = ("a", "b", "c", "d")
     count: int = 50
     accuracy: float = 1e-9
+    common_factor: bool = False
 
     @property
     def times(self) -> Array:

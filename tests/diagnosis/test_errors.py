@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis, Term, diagnose
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.detect import noise_draws
-from petkin.diagnosis.noise import Noise
 
 from .decaying_channels import HYPOTHESES, TRUTH, DecayingChannels, hypothesis
 
@@ -44,7 +44,7 @@ def judged(simulator: DecayingChannels, seed: int, *terms: Term) -> Diagnosis:
 
 def noise(rng: np.random.Generator) -> Noise:
     spread = rng.uniform(0.5, 2.0, (3, 20))
-    return Noise(spread, np.array([0.1, 0.2, 0.15]), 0.4, rng.standard_normal((4, 3, 20)))
+    return Noise(spread, np.array([0.1, 0.2, 0.15]), 0.4, errors=rng.standard_normal((4, 3, 20)))
 
 
 def test_whitening_makes_noise_and_errors_white_together() -> None:

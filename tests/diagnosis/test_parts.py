@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,12 +12,16 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import evidence
+from petkin.diagnosis.covariance import Noise, inverse_root, loads
 from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
 from petkin.diagnosis.effect import Hypothesis, Term, foreknown
-from petkin.diagnosis.noise import Noise, common_share, from_flexible, outlying, pooled, second_differences
+from petkin.diagnosis.noise import common_share, from_flexible, levels, outlying, pooled, second_differences
+from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.sets import probabilities, smallest_set
 from petkin.diagnosis.where import benjamini_hochberg
+
+from .decaying_channels import DecayingChannels
 
 
 @given(share=st.floats(0.0, 0.89), count=st.integers(1, 8))
@@ -26,11 +32,60 @@ def test_whitening_undoes_the_common_share(share: float, count: int) -> None:
     np.testing.assert_allclose(mixing @ covariance @ mixing.T, np.eye(count), atol=1e-10)
 
 
-def test_common_share_is_recovered() -> None:
+#: A factor of the values of five channels, two of which are small and noisy.
+LOADS = np.array([1.4, 1.2, 1.0, 0.5, 0.5]) / np.sqrt(np.mean(np.square([1.4, 1.2, 1.0, 0.5, 0.5])))
+
+
+def test_whitening_undoes_a_factor_of_the_values() -> None:
+    rng = np.random.default_rng(3)
+    noise = Noise(np.ones((5, 20000)), np.ones(5), 0.4, LOADS)
+    drawn = noise.mixed(rng.standard_normal((5, 20000)), rng.standard_normal((1, 20000)))
+    np.testing.assert_allclose(np.cov(drawn), 0.4 * np.outer(LOADS, LOADS) + np.diag(1 - 0.4 * LOADS**2), atol=0.03)
+    np.testing.assert_allclose(np.cov(noise.whiten(drawn).reshape(5, -1)), np.eye(5), atol=0.03)
+    np.testing.assert_allclose(noise.coloured(noise.whiten(drawn)), drawn)
+
+
+@pytest.mark.parametrize("load", [None, np.ones(5), LOADS])
+def test_common_share_is_recovered(load: np.ndarray | None) -> None:
     rng = np.random.default_rng(0)
-    for share in (0.0, 0.3, 0.6):
-        r = np.sqrt(1 - share) * rng.standard_normal((5, 4000)) + np.sqrt(share) * rng.standard_normal(4000)
-        assert float(common_share(r)) == pytest.approx(share, abs=0.04)
+    for share in (0.0, 0.3, 0.45):
+        noise = Noise(np.ones((5, 4000)), np.ones(5), share, load)
+        r = noise.mixed(rng.standard_normal((5, 4000)), rng.standard_normal((1, 4000)))
+        assert float(common_share(r, load)) == pytest.approx(share, abs=0.04)
+
+
+def test_loads_of_one_are_no_loads() -> None:
+    residuals = np.random.default_rng(4).standard_normal((7, 5, 30))
+    shares = common_share(residuals)
+    np.testing.assert_allclose(common_share(residuals, np.ones((7, 5))), shares, atol=1e-12)
+    np.testing.assert_allclose(inverse_root(5, shares, np.ones((7, 5))), inverse_root(5, shares), atol=1e-10)
+
+
+def test_a_factor_of_the_values_weighs_less_in_noisier_channels() -> None:
+    found = loads(np.array([10.0, 10.0, 20.0]), np.array([1.0, 4.0, 2.0]))
+    np.testing.assert_allclose(found / found[0], [1.0, 0.25, 1.0])
+    assert np.mean(found**2) == pytest.approx(1.0)
+
+
+def test_sizes_of_a_factor_are_drawn_to_its_law() -> None:
+    """Channels of one own noise whose values are unlike: what they have in common grows with the values."""
+    level, freedom = np.array([27.0, 18.0, 15.0, 5.0, 3.0]), np.full(5, 20.0)
+    true = np.sqrt(1.0 + 3.0 * level**2 / np.mean(level**2))
+    rough = true * np.exp(0.15 * np.random.default_rng(7).standard_normal((400, 5)))
+    error = [np.log(pooled(rough, freedom, level, factor=factor) / true).std() for factor in (True, False)]
+    assert error[0] < 0.12
+    assert error[0] < 0.8 * error[1]
+
+
+def test_only_a_simulator_that_says_so_has_loads() -> None:
+    rng = np.random.default_rng(8)
+    simulator = DecayingChannels()
+    truth = simulator.predict(np.tile(simulator.own.mean, (4, 1)), np.zeros(0))
+    noise = 0.01 * truth * rng.standard_normal((1, truth.shape[1])) + 0.02 * rng.standard_normal(truth.shape)
+    assert base_fit(simulator, truth + noise)[1].load is None
+    found = base_fit(replace(simulator, common_factor=True), truth + noise)[1]
+    assert found.load is not None
+    np.testing.assert_allclose(found.load, loads(levels(truth, found.spread), found.size), rtol=0.05)
 
 
 def test_second_differences_see_noise_through_drifts_and_steps() -> None:

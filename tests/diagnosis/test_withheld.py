@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from petkin.diagnosis import DRIVE, Diagnosis, Term, diagnose
-from petkin.diagnosis.noise import Noise
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.refit import State, refit
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS, effect_named

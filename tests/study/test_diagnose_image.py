@@ -34,8 +34,11 @@ def noise_free(folder: Path) -> tuple[Path, Path]:
     return study, study / "sub-01/pet/sub-01_pet.nii.gz"
 
 
-def spoilt(folder: Path, *, fwhm: float = 0.0, moved_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Path:
-    """A study whose head is blurred, and moves once at 30 min; with noise of counts."""
+def spoilt(
+    folder: Path, *, fwhm: float = 0.0, moved_mm: tuple[float, float, float] = (0.0, 0.0, 0.0), failing: float = 0.0
+) -> Path:
+    """A study whose head is blurred, and moves once at 30 min, or where planes of detectors lose a share of the counts
+    about then; with noise of counts."""
     study, path = noise_free(folder)
     image = nib.load(path)
     values = np.asarray(image.dataobj, np.float64)
@@ -44,9 +47,12 @@ def spoilt(folder: Path, *, fwhm: float = 0.0, moved_mm: tuple[float, float, flo
     rng = np.random.default_rng(3)
     size = NOISE * np.sqrt(values.mean(axis=3).max() * 300.0 / duration)
     for k, frame in enumerate(np.moveaxis(values, -1, 0)):
-        seen = gaussian_filter(frame, fwhm / 2.3548 / VOXEL) if fwhm else frame
+        seen = gaussian_filter(frame, fwhm / 2.3548 / VOXEL) if fwhm else frame.copy()
         if start[k] >= 60 * ONSET_MIN - 1:
             seen = shift(seen, np.array(moved_mm) / VOXEL, order=1)
+        middle = (start[k] + 0.5 * duration[k]) / 60.0
+        planes = slice(seen.shape[1] // 2 - 1, seen.shape[1] // 2 + 4)
+        seen[:, planes] *= 1.0 - failing * np.exp(-0.5 * ((middle - ONSET_MIN) / 8.0) ** 2)
         values[..., k] = seen + size[k] * np.sqrt(np.maximum(seen, 0.02 * seen.max())) * rng.standard_normal(seen.shape)
     nib.save(nib.Nifti1Image(values.astype(np.float32), image.affine), path)
     return study
@@ -97,6 +103,15 @@ def test_blur_is_named_with_its_width(tmp_path: Path) -> None:
     assert estimate["unit"] == "mm"
     assert estimate["value"] == pytest.approx(8.0, abs=2.0)
     assert estimate["low"] < estimate["value"] < estimate["high"]
+
+
+@pytest.mark.parametrize("without", [(), ("partial_volume", "motion_step", "motion_drift", "attenuation_mismatch")])
+def test_failing_planes_are_a_gap_of_no_name_within_regions(tmp_path: Path, without: tuple[str, ...]) -> None:
+    answer = diagnosed(spoilt(tmp_path, failing=0.3), tmp_path / "out", without=without).answer
+    jsonschema.validate(answer, SCHEMA)
+    assert answer["verdict"]["kind"] == "unknown"
+    assert "within regions" in answer["verdict"]["sentence"]
+    assert answer["where"]["state"][0]["evidence"] > 10.0
 
 
 def test_an_image_in_order_has_no_gap_and_a_map_of_noise(tmp_path: Path) -> None:

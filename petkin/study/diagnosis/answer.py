@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.diagnosis import DRIVE, ONE, Cause, Diagnosis, State, Visible, indistinct
+from petkin.diagnosis import DRIVE, ONE, WITHIN, Cause, Diagnosis, State, Visible, indistinct
 from petkin.effects import effect_named
 from petkin.kinetics import compartment_model
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
@@ -29,6 +29,7 @@ _STATES = {"input": "C_P", "vascular": "C_B", "tissue": "C_T"}
 _UNNAMED = {
     DRIVE: "; it looks as if the plasma input departed from its record (see --read-blood)",
     ONE: "; it is likeliest in one region alone",
+    WITHIN: "; it differs within regions, as a gain of the image would that varies smoothly or from plane to plane",
 }
 _DIGITS = 6
 

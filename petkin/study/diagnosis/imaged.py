@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, smallest_set
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Elsewhere, Estimate, Fit, smallest_set
 from petkin.io import read_regions
 from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
 from petkin.study.diagnosis.regional import RegionalSimulator
@@ -19,14 +19,20 @@ _IN_MM = ("partial_volume", "motion_step", "motion_drift")
 
 @dataclass(frozen=True)
 class Imaged:
-    """What the image of a scan adds: its voxels, and what contrasts say of spatial effects (None: nothing to find)."""
+    """What the image of a scan adds: its voxels, and what contrasts say of spatial effects and gaps of no name."""
 
     voxels: Voxels
-    looked: Looked | None
+    looked: Looked
 
     @property
     def log_odds(self) -> dict[str, float]:
-        return {} if self.looked is None else self.looked.log_odds
+        return self.looked.log_odds
+
+    @property
+    def elsewhere(self) -> Elsewhere | None:
+        """What the image says of a gap of no name."""
+        unnamed = self.looked.contrasted.unnamed
+        return None if unnamed is None else Elsewhere(unnamed, self.log_odds)
 
 
 def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit) -> Picture | None:

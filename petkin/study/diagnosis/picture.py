@@ -22,6 +22,8 @@ _RIM_MM = (6.0, 18.0)
 _RANK = 4
 #: Voxels beside the labels that a slope needs.
 BESIDE = 2
+#: A mixture of the regions' curves that is always there may be so many times as large as what the image shows.
+_MIXED = 1.7
 #: A frame that holds less than this share of what is predicted is compared as it is.
 _FAINT = 0.3
 
@@ -177,11 +179,29 @@ class Voxels:
         """The labelled voxels as mixtures of courses (N, M)."""
         return self.picture.seen[self.inside[self.picture.box]]
 
+    def total(self, maps: Array) -> Array:
+        """Sum over the frames, in units of the noise, of maps that follow the courses (..., M): (...)."""
+        usual = np.sqrt((self.spread**2).mean(axis=0))
+        return maps @ (self.picture.courses / usual).sum(axis=1)
+
     def mixed(self, share: float, region: int) -> Array:
         """Columns of a mixture of the regions' curves, so large, that a contrast of one region holds (K, M)."""
         courses = self.picture.courses
         usual = np.sqrt(((self.fit.values @ courses.T) ** 2).mean(axis=0))
         return share / np.linalg.norm(usual) * (usual[:, None] * courses).T / self.spread[region][:, None]
+
+    def there(self, weights: Array) -> Array:
+        """Columns of mixtures of the regions' curves (R M, R, K), each region's for itself.
+
+        Where edges run within voxels no label tells, so that a contrast may hold some of all curves, as large as what
+        the image shows.
+        """
+        held = self.over_regions(weights[:, None] * self.seen)
+        share = _MIXED * float(np.sqrt((held**2).sum(axis=1).mean()))
+        columns = np.zeros((len(held), held.shape[1], *self.spread.shape))
+        for r in range(len(held)):
+            columns[r, :, r] = self.mixed(share, r).T
+        return columns.reshape(-1, *self.spread.shape)
 
     def centred(self, weights: Array) -> Array:
         """Weights less their mean over the region, of unit length in each."""

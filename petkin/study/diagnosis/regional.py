@@ -87,6 +87,11 @@ class RegionalSimulator:
         return _ACCURACY
 
     @property
+    def common_factor(self) -> bool:
+        """Where voxels say how large each region's own noise is, and so what part of it frames have in common."""
+        return self.grain is not None
+
+    @property
     def own(self) -> Coordinates:
         return self._own
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import Contrasted, Family, Pattern, judge_contrasts
 from petkin.effects.imaging import after
 from petkin.imaging import FrameSchedule, blur
+from petkin.study.diagnosis.fields import departures
 from petkin.study.diagnosis.picture import BESIDE, Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator, onsets
 from petkin.study.diagnosis.variation import Variation
@@ -35,8 +36,6 @@ _WIDTHS, _TYPICAL = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0), 6.0
 #: Priors: mm of motion, relative gain at the edge of the head, and blur in units of the FWHM tried.
 _MOTION_MM, _GAIN = 10.0, 0.2
 _MOTIONS = ("motion_step", "motion_drift")
-#: A mixture of the regions' curves that is always there may be so many times as large as what the image shows.
-_MIXED = 1.7
 #: Rounds in which the sharp image is found.
 _SHARPENED = 4
 #: When a drift begins and ends, as shares of the scan.
@@ -60,8 +59,8 @@ class Looked:
         return {n: float(np.logaddexp(np.log(_UNSEEN[n]), np.log1p(-_UNSEEN[n]) + e)) for n, e in found.items()}
 
 
-def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *, seed: int) -> Looked | None:
-    """Contrasts of an image against every spatial effect that may be missing; None where there is none of them.
+def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *, seed: int) -> Looked:
+    """Contrasts of an image against every spatial effect that may be missing, and gaps of no name.
 
     Args:
         voxels: of its segmentation.
@@ -78,11 +77,11 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         families[contrast.family] = scene.family(contrast, variation)
         patterns += scene.patterns(contrast, simulator)
     patterns = [pattern for pattern in patterns if pattern.name in names]
-    if not patterns:
-        return None
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
     rng = np.random.default_rng((seed, len(patterns)))
-    return Looked(judge_contrasts(families, patterns, least=least, draws=_DRAWS, rng=rng), width)
+    unnamed = departures(voxels, variation, simulator.clock.frames.mid, least=least)
+    found = judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
+    return Looked(found, width)
 
 
 def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
@@ -174,11 +173,6 @@ class _Scene:
     def axes(self) -> Iterator[int]:
         return (axis for axis, size in enumerate(self.voxels.inside.shape) if size > 1)
 
-    def _mean(self, maps: Array) -> Array:
-        """Their sum over the frames in units of the noise (...)."""
-        usual = np.sqrt((self.voxels.spread**2).mean(axis=0))
-        return maps @ (self.voxels.picture.courses / usual).sum(axis=1)
-
     def contrasts(self) -> list[_Contrast]:
         """Motion and gains along every axis of the grid, and turns about it."""
         found = [contrast for axis in self.axes for contrast in (self.moving(axis), self.tilted(axis))]
@@ -210,13 +204,13 @@ class _Scene:
         return self._along(f"gain {axis}", ("attenuation_mismatch",), axis, place[:, None] * self.voxels.seen, _GAIN)
 
     def _along(self, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
-        weights = self.voxels.centred(self._mean(maps))
+        weights = self.voxels.centred(self.voxels.total(maps))
         return _Contrast(family, names, axis, maps, prior, weights, self.voxels.picture.grain.sizes(weights))
 
     def family(self, contrast: _Contrast, variation: Variation) -> Family:
         """Its rows, with what they may hold of an image that stays as it is."""
         weights = contrast.weights
-        nuisance = np.concatenate([variation.columns(weights), self._there(weights)])
+        nuisance = np.concatenate([variation.columns(weights), self.voxels.there(weights)])
         return Family(self.voxels.sums(weights), nuisance, contrast.sizes)
 
     def patterns(self, contrast: _Contrast, simulator: RegionalSimulator) -> list[Pattern]:
@@ -228,20 +222,6 @@ class _Scene:
             for name in contrast.names
             for setting, course in _courses(name, simulator.clock.frames, simulator)
         ]
-
-    def _there(self, weights: Array) -> Array:
-        """Columns of mixtures of the regions' curves (R M, R, K), each region's for itself.
-
-        Where edges run within voxels no label tells, so that a contrast may hold some of all curves, as large as what
-        the image shows.
-        """
-        voxels = self.voxels
-        held = voxels.over_regions(weights[:, None] * voxels.seen)
-        share = _MIXED * float(np.sqrt((held**2).sum(axis=1).mean()))
-        columns = np.zeros((len(held), held.shape[1], *voxels.spread.shape))
-        for r in range(len(held)):
-            columns[r, :, r] = voxels.mixed(share, r).T
-        return columns.reshape(-1, *voxels.spread.shape)
 
 
 def _slope(maps: Array, edge: float, axis: int) -> Array:

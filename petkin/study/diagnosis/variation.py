@@ -66,13 +66,18 @@ class Variation:
         return cls(cells, fields, voxels.sensitivity, _variances(decoys, voxels.sensitivity.shape[2]))
 
     def columns(self, weights: Array) -> Array:
-        """What contrasts may hold of kinetics that vary within regions (R P, R, K)."""
-        held = self.cells.over(weights[None])[0]
-        seen = np.stack([(held * (self.cells.region == r)) @ self.fields for r in range(len(self.sensitivity))])
+        """What contrasts of weights (N,) may hold of kinetics that vary within regions (R P, R, K)."""
+        return self.joint(weights[None])
+
+    def joint(self, weights: Array) -> Array:
+        """The same of several contrasts of each region, by weights (F, N): (F R P, F R, K)."""
+        held, (regions, frames, _) = self.cells.over(weights), self.sensitivity.shape
+        seen = np.stack([(held * (self.cells.region == r)) @ self.fields for r in range(regions)], axis=1)
+        seen = seen.reshape(-1, seen.shape[-1])
         size, axes = np.linalg.eigh(seen @ seen.T)
-        root = axes * np.sqrt(np.maximum(size, 0.0))
-        columns = np.einsum("rs,rkp,p->sprk", root, self.sensitivity, np.sqrt(self.variance))
-        return columns.reshape(-1, *self.sensitivity.shape[:2])
+        root = (axes * np.sqrt(np.maximum(size, 0.0))).reshape(-1, regions, len(seen))
+        columns = np.einsum("frs,rkp,p->spfrk", root, self.sensitivity, np.sqrt(self.variance))
+        return columns.reshape(-1, len(seen), frames)
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,17 @@ class VoxelNoise:
         found = [self._variance(np.where(self.labels[box] == r + 1, grid[box], 0.0)) for r, box in enumerate(boxes)]
         return np.sqrt(np.maximum(found, 0.0))
 
+    def covariances(self, weights: Array) -> list[Array]:
+        """Covariance of sum_v w_v e_v of several weights (F, N) of the labelled voxels, in every region (F, F)."""
+        grids = np.zeros((len(weights), *self.labels.shape))
+        grids[:, self.labels > 0] = weights
+        found = []
+        for r, box in enumerate(find_objects(self.labels)):
+            own = np.where(self.labels[box] == r + 1, grids[(slice(None), *box)], 0.0)
+            covariance = own.reshape(len(own), -1) @ _spread(own, self.shared).reshape(len(own), -1).T
+            found.append(0.5 * (covariance + covariance.T))
+        return found
+
     def of_means(self) -> Array:
         """Relative standard deviation of the mean over each region (R, K), of what its voxels do not share with all."""
         place = self.labels[self.labels > 0] - 1
@@ -107,6 +118,16 @@ def _shared(noise: NDArray[np.floating], labels: NDArray[np.intp], size: Array) 
         total += _products(grid, lags)
     pairs = len(frames) * _products(inside.astype(np.float64), lags)
     return np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0)
+
+
+def _spread(grids: Array, shared: Array) -> Array:
+    """sum_d C(d) g_(v + d) of several grids (F, x, y, z)."""
+    axes, size = (1, 2, 3), grids.shape[1:]
+    shape = [-(-(n + lag - 1) // _EASY) * _EASY for n, lag in zip(size, shared.shape, strict=True)]
+    kernel = np.pad(shared, [(0, n - lag) for n, lag in zip(shape, shared.shape, strict=True)])
+    kernel = np.roll(kernel, [-(lag // 2) for lag in shared.shape], (0, 1, 2))
+    found = np.fft.irfftn(np.fft.rfftn(grids, shape, axes) * np.fft.rfftn(kernel), shape, axes)
+    return found[:, : size[0], : size[1], : size[2]]
 
 
 def _products(grid: NDArray[np.floating], lags: tuple[int, ...]) -> Array:

@@ -1,0 +1,97 @@
+"""Gains of no name: smooth fields over the head, and planes that alternate, each with any smooth course in time.
+
+    x_v(k) -> x_v(k) (1 + sum_b b_v g_b(k)),   b_v = cos(pi i u_1) cos(pi j u_2) cos(pi l u_3) or (-1)^(plane of v)
+
+u is the place in the box around the labels, from 0 to 1. The weights of contrasts are the same fields times the image
+as it is seen, centred within every region, and turned there so that they share no noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis import Departure, Family
+from petkin.study.diagnosis.picture import Voxels
+from petkin.study.diagnosis.variation import Variation
+
+Array = NDArray[np.float64]
+
+#: Half waves along one axis; along so many at once, up to how many along each.
+_ALONG, _ACROSS = 6, ((2, 3), (3, 2))
+#: Waves fade by this power of their number, as rougher fields are less likely; planes are as rough as that.
+_FADING, _PLANES = 0.5, 0.5
+#: Directions with less of the noise than this share of the largest are left out; sizes below this share of the mean
+#: one are not believed.
+_LEAST, _FLOOR = 1e-2, 0.3
+
+
+def departures(voxels: Voxels, variation: Variation, times: Array, *, least: float) -> list[Departure]:
+    """Contrasts that see such gains: along every axis, and across several.
+
+    Args:
+        voxels: of a segmentation.
+        variation: how kinetics vary within its regions.
+        times: of the frames (K,), min.
+        least: smallest standard deviation that noise may have.
+    """
+    bright = voxels.total(voxels.seen)
+    return [
+        Departure(*_seen(voxels, variation, bright, fields, least), np.maximum(times, 0.0))
+        for fields in _fields(voxels)
+    ]
+
+
+def _fields(voxels: Voxels) -> Iterator[Array]:
+    """Fields by family (F, N)."""
+    at = np.stack(np.nonzero(voxels.inside))
+    u = (at - at.min(axis=1, keepdims=True) + 0.5) / (np.ptp(at, axis=1)[:, None] + 1.0)
+    axes = [axis for axis in range(len(at)) if np.ptp(at[axis]) > 0]
+    waves = np.cos(np.pi * np.arange(_ALONG + 1)[:, None, None] * u)
+    for axis in axes:
+        along = [(1.0 + i) ** -_FADING * waves[i, axis] for i in range(1, _ALONG + 1)]
+        yield np.stack([*along, _PLANES * (-1.0) ** at[axis]])
+    for count, most in _ACROSS:
+        for plane in combinations(axes, count):
+            numbers = product(range(1, most + 1), repeat=count)
+            yield np.stack([(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers])
+
+
+def _seen(voxels: Voxels, variation: Variation, bright: Array, fields: Array, least: float) -> tuple[Family, Array]:
+    """Contrasts of fields, and what unit gains add to them."""
+    weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
+    nuisance = np.concatenate([variation.joint(weights), _there(voxels, weights)])
+    rows = _stacked([voxels.sums(each) for each in weights])
+    seen, courses = voxels.seen, voxels.picture.courses
+    added = [_stacked([voxels.framed(w, field[:, None] * seen, courses) for w in weights]) for field in fields]
+    return Family(rows, nuisance, np.ones(len(rows))), np.stack(added)
+
+
+def _stacked(rows: list[Array]) -> Array:
+    return np.concatenate(rows, axis=-2)
+
+
+def _there(voxels: Voxels, weights: Array) -> Array:
+    """What each contrast may hold of an image that stays as it is, for itself (n, F R, K)."""
+    each = [voxels.there(w) for w in weights]
+    count, regions, frames = each[0].shape
+    columns = np.zeros((len(each), count, len(each), regions, frames))
+    for f, own in enumerate(each):
+        columns[f, :, f] = own
+    return columns.reshape(len(each) * count, -1, frames)
+
+
+def _apart(voxels: Voxels, weights: Array, least: float) -> Array:
+    """Weights (F, N) turned within every region so that their sums have noise of size one, and share none."""
+    found = np.zeros_like(weights)
+    for r, covariance in enumerate(voxels.picture.grain.covariances(weights)):
+        size, axes = np.linalg.eigh(covariance)
+        size = np.maximum(size, least**2)
+        kept = size > _LEAST * size[-1]
+        believed = np.maximum(size[kept], _FLOOR * size[kept].mean())
+        mine = voxels.place == r
+        found[: int(kept.sum()), mine] = (axes[:, kept] / np.sqrt(believed)).T @ weights[:, mine]
+    return found

@@ -1,0 +1,88 @@
+"""Gaps of no name beside the channels: seen where they are, silent in noise, and weighed against names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from petkin.diagnosis import WITHIN, Departure, Elsewhere, Family, Pattern, judge_contrasts
+from petkin.diagnosis.departures import judge_departures
+
+PLACES, ROWS, SAMPLES, DRAWS = 6, 3, 20, 200
+TIMES = np.linspace(0.2, 60.0, SAMPLES)
+CURVE = 20.0 * np.exp(-TIMES / 40.0)
+#: A unit gain in a place adds the curve to that place's rows.
+ADDED = np.kron(np.eye(PLACES)[:, :, None], np.ones((1, ROWS, 1))) * CURVE
+#: What rows may hold of it all the time, each for itself.
+ALWAYS = 10.0 * np.eye(PLACES * ROWS)[:, :, None] * CURVE
+
+
+def departure(gap: np.ndarray, rng: np.random.Generator, noise: float = 1.0) -> Departure:
+    """Rows with noise, of which the judge expects 1, what is always there, and a gap (places, K)."""
+    rows = noise * rng.standard_normal((PLACES * ROWS, SAMPLES))
+    rows += np.tensordot(rng.standard_normal(len(ALWAYS)), ALWAYS, 1)
+    rows += np.einsum("bk,bjk->jk", gap, ADDED)
+    return Departure(Family(rows, ALWAYS, np.ones(len(rows))), ADDED, TIMES)
+
+
+def judged(each: Departure, rng: np.random.Generator) -> tuple[float, np.ndarray]:
+    return judge_departures([each], least=1e-9, draws=DRAWS, rng=rng)
+
+
+def swelling(*places: int) -> np.ndarray:
+    gap = np.zeros((PLACES, SAMPLES))
+    gap[list(places)] = 0.3 * np.sin(np.pi * TIMES / 60.0)
+    return gap
+
+
+@pytest.mark.parametrize("places", [(2,), (0, 4)])
+def test_a_smooth_gap_is_seen_in_one_place_or_in_two(places: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(2)
+    found, null = judged(departure(swelling(*places), rng), rng)
+    assert found > 10.0
+    assert found > null.max()
+
+
+def test_what_is_always_there_is_no_gap() -> None:
+    rng = np.random.default_rng(3)
+    gap = np.zeros((PLACES, SAMPLES))
+    gap[1] = 0.4
+    found, null = judged(departure(gap, rng), rng)
+    assert found < np.quantile(null, 0.97)
+
+
+def test_more_noise_than_expected_in_all_places_is_no_gap() -> None:
+    rng = np.random.default_rng(4)
+    evidence = [judged(departure(swelling(), rng, noise=1.6), rng)[0] for _ in range(20)]
+    assert np.median(evidence) < 0.0
+
+
+def test_p_values_of_noise_are_not_too_small() -> None:
+    rng = np.random.default_rng(5)
+    step = Pattern("step", "x", np.ones((ROWS, 1)) * (TIMES > 30.0), {"onset": 30.0})
+    found = []
+    for _ in range(150):
+        families = {"x": Family(rng.standard_normal((ROWS, SAMPLES)), np.zeros((1, ROWS, SAMPLES)), np.ones(ROWS))}
+        one = departure(swelling(), rng)
+        found.append(judge_contrasts(families, [step], [one], least=1e-9, draws=DRAWS, rng=rng).p_value)
+    assert np.mean(np.array(found) <= 0.05) <= 0.09
+    assert 0.3 <= np.mean(np.array(found) <= 0.5) <= 0.6
+
+
+def test_nothing_beside_the_channels_costs_a_gap_of_no_name_a_bit() -> None:
+    silent = Elsewhere(-3.0, {})
+    assert silent.joined(20.0) == pytest.approx(20.0 - np.log(2.0), abs=0.03)
+    assert silent.place(20.0, "drive") == "drive"
+
+
+def test_a_gap_beside_the_channels_is_there() -> None:
+    loud = Elsewhere(30.0, {})
+    assert loud.joined(-2.0) == pytest.approx(30.0 - np.log(4.0) + np.log1p(np.exp(-2.0)), abs=0.01)
+    assert loud.place(-2.0, "alike") == WITHIN
+
+
+def test_a_name_that_was_seen_there_too_keeps_what_it_explains() -> None:
+    seen = Elsewhere(30.0, {"tilt": 40.0, "blur": 12.0})
+    assert seen.beyond(("tilt",)) == 0.0
+    assert seen.beyond(("blur", "delay")) == pytest.approx(18.0)
+    assert seen.beyond(("delay",)) == pytest.approx(30.0)

@@ -238,3 +238,10 @@ def test_heavy_tails_are_seen_in_a_single_scan_and_normal_ones_left_alone() -> N
     normal = [tail_freedom(rng.standard_normal(180)) for _ in range(40)]
     assert np.mean(np.isfinite(heavy)) > 0.75
     assert np.mean(np.isfinite(normal)) < 0.15
+
+
+def test_no_more_than_a_share_is_taken_for_a_factor_in_common() -> None:
+    """Gains of all channels at once would else be noise, however large."""
+    load = np.array([1.2, 0.9, 0.8])
+    gain = load[:, None] * np.sin(np.arange(400.0)) * np.sqrt(2.0)
+    assert float(common_share(gain + 0.1 * np.random.default_rng(0).standard_normal(gain.shape), load)) == 0.6

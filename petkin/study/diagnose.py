@@ -32,14 +32,14 @@ from petkin.reporting import (
     render_gap_report,
 )
 from petkin.study.diagnosis.answer import answer
-from petkin.study.diagnosis.blood import fitted_input, recorded_input
+from petkin.study.diagnosis.blood import fitted_input, read_between, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
 from petkin.study.diagnosis.record import record_errors
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
-from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
+from petkin.study.diagnosis.request import FITTED, RECORDED, DiagnoseRequest
 from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
 from petkin.study.diagnosis.sidecar import blunders
 from petkin.study.diagnosis.state import read_states
@@ -271,6 +271,8 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
     end = float(curves.frames.end[-1])
     arterial = fitted_input(source) if request.blood == FITTED else recorded_input(source.blood, end)
     nodes = reading_nodes(arterial, end)
+    if request.blood == RECORDED:
+        arterial = read_between(source, arterial, nodes)
     return curves, RegionalSimulator(
         curves.names,
         request.compartments.label,

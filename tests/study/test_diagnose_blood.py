@@ -91,6 +91,8 @@ def test_noisy_blood_is_a_gap_only_where_it_is_taken_as_exact(noisy: Path, tmp_p
     assert not answers[FITTED].answer["gap"]["present"]
     assert "samples of plasma scatter by" in answers[FITTED].report.read_text()
     assert "samples of plasma scatter by" not in answers[RECORDED].report.read_text()
+    assert "see --read-blood fitted" in answers[RECORDED].report.read_text()
+    assert "see --read-blood fitted" not in answers[FITTED].report.read_text()
 
 
 def test_the_same_blood_is_read_as_a_fit_reads_it(noisy: Path) -> None:

@@ -9,6 +9,7 @@ scatter so much that lines between them are the gap.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 
 _PLASMA, _BLOOD = "plasma_radioactivity", "whole_blood_radioactivity"
 _FRACTION, _AIF = "metabolite_parent_fraction", "AIF"
+#: Lines and a curve are compared from this time on (min), and said to differ from this share on.
+_SETTLED, _APART = 1.0, 0.03
 
 
 def recorded_input(blood: BloodRecord, end: float) -> InputFunction:
@@ -84,6 +87,21 @@ def fitted_input(source: Source) -> InputFunction:
     """
     found = arterial_input(source, Reading())
     return replace(found, remarks=(*found.remarks, remark(found)))
+
+
+def read_between(source: Source, recorded: InputFunction, nodes: Array) -> InputFunction:
+    """The recorded input, with a remark where lines between its samples lie far from the curve that a fit reads."""
+    with suppress(InputError):
+        late = nodes[(nodes > _SETTLED) & (nodes <= recorded.end)]
+        lines, curve = (np.asarray(f.plasma(late)) for f in (recorded, arterial_input(source, Reading())))
+        apart = np.abs(lines / np.maximum(curve, 1e-300) - 1.0).max(initial=0.0)
+        if apart > _APART:
+            text = (
+                f"Blood is read as straight lines between samples, which lie up to {apart:.0%} from the curve that "
+                "petkin fit reads: that alone can be a gap; see --read-blood fitted."
+            )
+            return replace(recorded, remarks=(*recorded.remarks, text))
+    return recorded
 
 
 def _samples(table: pd.DataFrame, column: str) -> tuple[Array, Array] | None:

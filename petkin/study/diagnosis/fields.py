@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 _ALONG, _ACROSS = 6, ((2, 3), (3, 2))
 #: Waves fade by this power of their number, as rougher fields are less likely; planes are as rough as that.
 _FADING, _PLANES = 0.5, 0.5
+#: Regions looked at, the largest ones: what all of them may hold besides takes time as their cube.
+_REGIONS = 20
 #: Directions with less of the noise than this share of the largest are left out; sizes below this share of the mean
 #: one are not believed.
 _LEAST, _FLOOR = 1e-2, 0.3
@@ -38,9 +40,9 @@ def departures(voxels: Voxels, variation: Variation, times: Array, *, least: flo
         times: of the frames (K,), min.
         least: smallest standard deviation that noise may have.
     """
-    bright = voxels.total(voxels.seen)
+    bright, regions = voxels.total(voxels.seen), _largest(voxels)
     return [
-        Departure(*_seen(voxels, variation, bright, fields, least), np.maximum(times, 0.0))
+        Departure(*_seen(voxels, variation, bright, fields, regions, least), np.maximum(times, 0.0))
         for fields in _fields(voxels)
     ]
 
@@ -60,13 +62,20 @@ def _fields(voxels: Voxels) -> Iterator[Array]:
             yield np.stack([(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers])
 
 
-def _seen(voxels: Voxels, variation: Variation, bright: Array, fields: Array, least: float) -> tuple[Family, Array]:
-    """Contrasts of fields, and what unit gains add to them."""
+def _largest(voxels: Voxels) -> NDArray[np.intp]:
+    """Places of the largest regions, in their order."""
+    return np.sort(np.argsort(-np.bincount(voxels.place), kind="stable")[:_REGIONS])
+
+
+def _seen(
+    voxels: Voxels, variation: Variation, bright: Array, fields: Array, regions: NDArray[np.intp], least: float
+) -> tuple[Family, Array]:
+    """Contrasts of fields in some regions, and what unit gains add to them."""
     weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
-    nuisance = np.concatenate([variation.joint(weights), _there(voxels, weights)])
-    rows = _stacked([voxels.sums(each) for each in weights])
+    nuisance = np.concatenate([variation.joint(weights, regions), _there(voxels, weights, regions)])
+    rows = _stacked([voxels.sums(each)[regions] for each in weights])
     seen, courses = voxels.seen, voxels.picture.courses
-    added = [_stacked([voxels.framed(w, field[:, None] * seen, courses) for w in weights]) for field in fields]
+    added = [_stacked([voxels.framed(w, field[:, None] * seen, courses)[regions] for w in weights]) for field in fields]
     return Family(rows, nuisance, np.ones(len(rows))), np.stack(added)
 
 
@@ -74,14 +83,14 @@ def _stacked(rows: list[Array]) -> Array:
     return np.concatenate(rows, axis=-2)
 
 
-def _there(voxels: Voxels, weights: Array) -> Array:
+def _there(voxels: Voxels, weights: Array, regions: NDArray[np.intp]) -> Array:
     """What each contrast may hold of an image that stays as it is, for itself (n, F R, K)."""
-    each = [voxels.there(w) for w in weights]
-    count, regions, frames = each[0].shape
-    columns = np.zeros((len(each), count, len(each), regions, frames))
-    for f, own in enumerate(each):
-        columns[f, :, f] = own
-    return columns.reshape(len(each) * count, -1, frames)
+    fields, frames = len(weights), voxels.spread.shape[1]
+    columns = np.zeros((fields, len(regions), voxels.seen.shape[1], fields, len(regions), frames))
+    for f, own in enumerate(weights):
+        each = voxels.there(own).reshape(*voxels.spread.shape[:1], -1, *voxels.spread.shape)
+        columns[f, :, :, f] = each[regions][:, :, regions]
+    return columns.reshape(-1, fields * len(regions), frames)
 
 
 def _apart(voxels: Voxels, weights: Array, least: float) -> Array:

@@ -67,17 +67,17 @@ class Variation:
 
     def columns(self, weights: Array) -> Array:
         """What contrasts of weights (N,) may hold of kinetics that vary within regions (R P, R, K)."""
-        return self.joint(weights[None])
+        return self.joint(weights[None], np.arange(len(self.sensitivity)))
 
-    def joint(self, weights: Array) -> Array:
-        """The same of several contrasts of each region, by weights (F, N): (F R P, F R, K)."""
-        held, (regions, frames, _) = self.cells.over(weights), self.sensitivity.shape
-        seen = np.stack([(held * (self.cells.region == r)) @ self.fields for r in range(regions)], axis=1)
+    def joint(self, weights: Array, regions: NDArray[np.intp]) -> Array:
+        """The same of several contrasts of each of some regions, by weights (F, N): (F R P, F R, K)."""
+        held, sensitivity = self.cells.over(weights), self.sensitivity[regions]
+        seen = np.stack([(held * (self.cells.region == r)) @ self.fields for r in regions], axis=1)
         seen = seen.reshape(-1, seen.shape[-1])
         size, axes = np.linalg.eigh(seen @ seen.T)
-        root = (axes * np.sqrt(np.maximum(size, 0.0))).reshape(-1, regions, len(seen))
-        columns = np.einsum("frs,rkp,p->spfrk", root, self.sensitivity, np.sqrt(self.variance))
-        return columns.reshape(-1, len(seen), frames)
+        root = (axes * np.sqrt(np.maximum(size, 0.0))).reshape(-1, len(regions), len(seen))
+        columns = np.einsum("frs,rkp,p->spfrk", root, sensitivity, np.sqrt(self.variance))
+        return columns.reshape(-1, len(seen), sensitivity.shape[1])
 
 
 @dataclass(frozen=True)

@@ -55,12 +55,14 @@ class VoxelNoise:
 
     def covariances(self, weights: Array) -> list[Array]:
         """Covariance of sum_v w_v e_v of several weights (F, N) of the labelled voxels, in every region (F, F)."""
-        grids = np.zeros((len(weights), *self.labels.shape))
-        grids[:, self.labels > 0] = weights
+        index = np.cumsum(self.labels.ravel() > 0).reshape(self.labels.shape) - 1
         found = []
         for r, box in enumerate(find_objects(self.labels)):
-            own = np.where(self.labels[box] == r + 1, grids[(slice(None), *box)], 0.0)
-            covariance = own.reshape(len(own), -1) @ _spread(own, self.shared).reshape(len(own), -1).T
+            mine = self.labels[box] == r + 1
+            own = np.zeros((len(weights), *mine.shape))
+            own[:, mine] = weights[:, index[box][mine]]
+            flat = own.reshape(len(own), -1)
+            covariance = np.stack([flat @ _spread(own[f], self.shared).ravel() for f in range(len(own))])
             found.append(0.5 * (covariance + covariance.T))
         return found
 
@@ -120,14 +122,14 @@ def _shared(noise: NDArray[np.floating], labels: NDArray[np.intp], size: Array) 
     return np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0)
 
 
-def _spread(grids: Array, shared: Array) -> Array:
-    """sum_d C(d) g_(v + d) of several grids (F, x, y, z)."""
-    axes, size = (1, 2, 3), grids.shape[1:]
+def _spread(grid: Array, shared: Array) -> Array:
+    """sum_d C(d) g_(v + d)."""
+    axes, size = (0, 1, 2), grid.shape
     shape = [-(-(n + lag - 1) // _EASY) * _EASY for n, lag in zip(size, shared.shape, strict=True)]
     kernel = np.pad(shared, [(0, n - lag) for n, lag in zip(shape, shared.shape, strict=True)])
     kernel = np.roll(kernel, [-(lag // 2) for lag in shared.shape], (0, 1, 2))
-    found = np.fft.irfftn(np.fft.rfftn(grids, shape, axes) * np.fft.rfftn(kernel), shape, axes)
-    return found[:, : size[0], : size[1], : size[2]]
+    found = np.fft.irfftn(np.fft.rfftn(grid, shape, axes) * np.fft.rfftn(kernel), shape, axes)
+    return np.asarray(found[: size[0], : size[1], : size[2]], np.float64)
 
 
 def _products(grid: NDArray[np.floating], lags: tuple[int, ...]) -> Array:

@@ -78,7 +78,7 @@ def with_edges_within_voxels() -> tuple[Voxels, np.ndarray]:
 def test_edges_that_run_within_voxels_are_nuisance() -> None:
     """What a still image gives a contrast is a mixture of the regions' curves, and no larger than is allowed for."""
     voxels, weights = with_edges_within_voxels()
-    rows, columns = voxels.sums(weights), _Scene(voxels)._there(weights)
+    rows, columns = voxels.sums(weights), voxels.there(weights)
     assert np.linalg.norm(rows) > 10.0
     for r in range(REGIONS):
         mine = columns[np.abs(columns[:, r]).max(axis=1) > 0, r].T

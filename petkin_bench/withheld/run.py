@@ -91,10 +91,10 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
         from petkin_bench.withheld.network import network_verdict
 
         found = network_verdict(scan, plan.network)
-        return answer, _sealed(answer) | found | {"ideal": ideal(scan, truth, seed=index)}
+        return answer, _sealed(answer) | found | ideal(scan, truth, seed=index)
     with without(plan.without):
         found = verdict(scan, truth.clean, seed=index, draws=plan.draws)
-    return answer, _sealed(answer) | found | {"ideal": ideal(scan, truth, seed=index)}
+    return answer, _sealed(answer) | found | ideal(scan, truth, seed=index)
 
 
 def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:

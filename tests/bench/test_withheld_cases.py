@@ -197,8 +197,12 @@ def test_a_reader_who_must_find_the_settings_is_asked_of_single_causes_alone() -
     for index in range(8):
         scan, answer = case("training", 5, index)
         told[index] = (answer, ideal(scan, answer, seed=index))
-    shares = [share for _, share in told.values() if share != ""]
-    assert all(answer.kind in ("known", "other form") for answer, share in told.values() if share != "")
-    assert shares
-    assert all(0.0 <= float(share) <= 1.0 for share in shares)
-    assert max(float(share) for share in shares) > 1.0 / len(KNOWN)
+    asked = {index: (answer, row) for index, (answer, row) in told.items() if row["ideal"] != ""}
+    assert asked
+    assert all(answer.kind in ("known", "other form") for answer, _ in asked.values())
+    shares = np.array([[row["ideal"], row["ideal_claimed"]] for _, row in asked.values()], float)
+    assert ((shares >= 0.0) & (shares <= 1.0)).all()
+    assert (shares[:, 1] <= shares[:, 0]).all()
+    assert shares[:, 0].max() > 1.0 / len(KNOWN)
+    strong = [row for answer, row in asked.values() if answer.detectability > 8.0]
+    assert all(row["ideal_claimed"] == row["ideal"] for row in strong)

@@ -51,12 +51,15 @@ def test_noise_free_curves_give_back_their_truth():
 
 
 def test_where_nothing_is_trapped_the_fit_is_that_of_two_tissues():
+    """Both reach the floor of the table of exponentials, some 1e-8 of a curve, where the last step differs by machine."""
     curves = frame_averages("2TCM", uniform_truth("2TCM", 30))
     plain = fit_curves(curves, ARTERIAL, PLAIN, FRAMES.duration, NonlinearSettings(TWO_TISSUE))
     walled = fit_curves(curves, ARTERIAL, PLAIN, FRAMES.duration, NonlinearSettings(VASCULAR_TRAPPING))
     assert (walled["Kb"] < 1e-3).all()
     np.testing.assert_allclose(walled["VT"], plain["VT"], rtol=2e-3)
-    assert (walled.chi2 <= plain.chi2 * (1 + 1e-9) + 1e-12).all()
+    degrees = curves.shape[1] - len(VASCULAR_TRAPPING.parameters.symbols)
+    floor = (3e-8) ** 2 * (FRAMES.duration * curves**2).sum(axis=1) / degrees
+    assert (walled.chi2 <= plain.chi2 * (1 + 1e-9) + floor).all()
 
 
 def test_costs_do_not_exceed_a_non_negative_fit_over_a_fine_grid():

@@ -26,7 +26,7 @@ from petkin.errors import InputError
 from petkin.imaging import FrameObservation
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS, prepared, sources_of
-from petkin.study.diagnosis.record import record_errors
+from petkin.study.diagnosis.blood import errors_of
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
 from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
 from petkin.units import SECONDS_PER_MINUTE
@@ -74,6 +74,7 @@ class _Recording:
     curves: RegionalCurves
     full: RegionalSimulator
     one_tissue: RegionalSimulator
+    blood: str
 
     def cut(self, effect: str) -> RegionalSimulator:
         """The full simulator without an effect."""
@@ -119,7 +120,7 @@ def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood:
     lesser = replace(request, model="1tcm")
     for source in sources_of(request)[2]:
         curves, full = prepared(source, request)
-        yield _Recording(source.label, curves, full, prepared(source, lesser)[1])
+        yield _Recording(source.label, curves, full, prepared(source, lesser)[1], blood)
 
 
 def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
@@ -145,7 +146,7 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
             "parent_fraction",
             ("parent_fraction",),
             values,
-            replace(scan.full, input=bare, measured=frozenset(), errors=record_errors(bare, scan.full.nodes)),
+            replace(scan.full, input=bare, measured=frozenset(), errors=errors_of(bare, scan.full.nodes, scan.blood)),
             rival,
         )
     timed = scan.cut("arterial_delay")

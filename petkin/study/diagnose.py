@@ -31,15 +31,15 @@ from petkin.reporting import (
     render_cohort_report,
     render_gap_report,
 )
+from petkin.study.arterial import Reading, arterial_input
 from petkin.study.diagnosis.answer import answer
-from petkin.study.diagnosis.blood import fitted_input, read_between, recorded_input
+from petkin.study.diagnosis.blood import allowing, errors_of, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
-from petkin.study.diagnosis.record import record_errors
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
-from petkin.study.diagnosis.request import FITTED, RECORDED, DiagnoseRequest
+from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
 from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
 from petkin.study.diagnosis.sidecar import blunders
 from petkin.study.diagnosis.state import read_states
@@ -269,10 +269,11 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
     _check(curves, source.label)
     require_cover(source.blood, source.frames)
     end = float(curves.frames.end[-1])
-    arterial = fitted_input(source) if request.blood == FITTED else recorded_input(source.blood, end)
+    fitted = request.blood == FITTED
+    arterial = arterial_input(source, Reading()) if fitted else recorded_input(source.blood, end)
     nodes = reading_nodes(arterial, end)
-    if request.blood == RECORDED:
-        arterial = read_between(source, arterial, nodes)
+    errors = errors_of(arterial, nodes, request.blood)
+    arterial = allowing(arterial, nodes, errors, request.blood)
     return curves, RegionalSimulator(
         curves.names,
         request.compartments.label,
@@ -281,7 +282,7 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
         request.included,
         nodes,
         frozenset({"parent_fraction"}) if source.blood.metabolites_measured else frozenset(),
-        errors=record_errors(arterial, nodes),
+        errors=errors,
     )
 
 

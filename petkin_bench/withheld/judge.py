@@ -103,9 +103,9 @@ def _closed(found: Diagnosis, simulator: RegionalSimulator, clean: Array) -> flo
 
 
 def ideal(scan: Scan, answer: Answer, *, seed: int) -> dict[str, object]:
-    """Shares of noise draws in which the class has the highest evidence (`ideal`), and in which a gap is claimed besides
-    (`ideal_claimed`), for a reader who is told the noise-free curves' fit and the law of the noise, but must find onset,
-    region, frame and shape for itself; "" where it is not one cause.
+    """Shares of noise draws in which the class has the highest evidence (`ideal`), and a gap is claimed besides
+    (`ideal_claimed`), for a reader who is told the noise-free curves' fit and the law of the noise, but must find
+    onset, region, frame and shape for itself; "" where it is not one cause.
 
     The product's templates of weak effects, each averaged over its settings, without a refit: of strong effects, which
     are not linear, a real reader may name more, and of blunders it says nothing. It claims a gap where all templates

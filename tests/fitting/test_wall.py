@@ -51,7 +51,7 @@ def test_noise_free_curves_give_back_their_truth():
 
 
 def test_where_nothing_is_trapped_the_fit_is_that_of_two_tissues():
-    """Both reach the floor of the table of exponentials, some 1e-8 of a curve, where the last step differs by machine."""
+    """Both reach the floor of the table of exponentials, some 1e-8 of a curve; there the last step is the machine's."""
     curves = frame_averages("2TCM", uniform_truth("2TCM", 30))
     plain = fit_curves(curves, ARTERIAL, PLAIN, FRAMES.duration, NonlinearSettings(TWO_TISSUE))
     walled = fit_curves(curves, ARTERIAL, PLAIN, FRAMES.duration, NonlinearSettings(VASCULAR_TRAPPING))

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from petkin.diagnosis import Hypothesis, diagnose
 from petkin.dynamics import PiecewiseLinear
+from petkin.effects import EFFECTS
 from petkin.errors import InputError
 from petkin.inputs import InputFunction, from_blood
+from petkin.io import BloodRecord
 from petkin.study.diagnose import diagnose_study, prepared, sources_of
-from petkin.study.diagnosis.record import fraction_samples, plasma_samples, record_errors, remark
+from petkin.study.diagnosis.blood import recorded_input
+from petkin.study.diagnosis.record import between_errors, fraction_samples, plasma_samples, record_errors, remark
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.request import FITTED, RECORDED, DiagnoseRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
@@ -36,6 +42,10 @@ def blood(times: np.ndarray, scatter: float = 0.0, odds: float = 0.0, seed: int 
         "metabolite_parent_fraction": 1 / (1 + np.exp(-logit)),
     }
     return from_blood(pd.DataFrame(columns))
+
+
+def candidates(simulator: RegionalSimulator) -> tuple[Hypothesis, ...]:
+    return tuple(hypotheses(EFFECTS, simulator, without=frozenset()))
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +80,54 @@ def test_a_fraction_near_one_hardly_errs() -> None:
     early, late = np.abs(record_errors(blood(SPARSE, 0.0, 0.3), nodes)[-10:]).max(axis=0)
     assert early < 0.01
     assert late > 10 * early
+
+
+def recorded(times: np.ndarray, every: int = 1) -> tuple[InputFunction, np.ndarray, np.ndarray]:
+    """Such a record read as lines, times, and how C_P departs from that there, relatively."""
+    nodes = np.linspace(times[0], 90.0, 400)
+    table = blood(times).samples.copy()
+    table.loc[np.arange(len(table)) % every > 0, "metabolite_parent_fraction"] = np.nan
+    lines = recorded_input(BloodRecord(table, None, True, None, "here"), 90.0)
+    truth = blood(nodes).samples
+    plasma = truth["plasma_radioactivity"] * truth["metabolite_parent_fraction"]
+    return lines, nodes, plasma.to_numpy() / np.asarray(lines.plasma(nodes)) - 1.0
+
+
+def test_errors_between_samples_are_what_lines_lack() -> None:
+    """Of how the truth departs from lines through 18 samples, and 9 fractions, a tenth is left; a third after the last
+    fraction, at 75 min, which is 0.22 off at the end."""
+    lines, nodes, truth = recorded(SPARSE, every=2)
+    plasma, fraction, later = between_errors(lines, nodes)
+    left, inside = plasma + fraction + later - truth, nodes < 75.0
+    assert (later[inside] == 0.0).all()
+    assert np.abs(truth[inside]).max() > 0.02
+    assert np.abs(left[inside]).max() < 0.1 * np.abs(truth[inside]).max()
+    assert np.abs(left).max() < 0.34 * np.abs(truth).max()
+
+
+def test_a_dense_record_leaves_nothing_between_its_samples() -> None:
+    lines, nodes, _ = recorded(np.arange(0.25, 90.1, 0.25))
+    assert np.abs(between_errors(lines, nodes)).max() < 0.005
+
+
+def test_a_record_of_activity_alone_has_no_error_of_a_fraction() -> None:
+    lines, nodes, _ = recorded(SPARSE)
+    bare = replace(lines, plasma=lines.total_plasma, parent_fraction=None)
+    np.testing.assert_array_equal(between_errors(bare, nodes), between_errors(lines, nodes)[:1])
+
+
+def test_sparse_samples_of_a_scan_without_an_effect_are_no_gap(tmp_path: Path) -> None:
+    """By default: 19 samples of plasma and 9 of the parent fraction, none of them with an error."""
+    allowed, as_exact = 0, 0
+    for seed in range(2, 6):
+        settings = {"out": tmp_path / f"study{seed}", "tracer": "reversible", "seed": seed, "noise": 5.0}
+        request = DiagnoseRequest(simulate(SimulationSettings.model_validate(settings)), include=INCLUDES)
+        curves, simulator = prepared(sources_of(request)[2][0], request)
+        exact = replace(simulator, errors=np.zeros((0, simulator.nodes.size)))
+        of_lines, of_exact = (diagnose(s, curves.values, candidates(s), seed=seed) for s in (simulator, exact))
+        allowed, as_exact = allowed + (of_lines.kind != "none"), as_exact + (of_exact.kind != "none")
+    assert allowed <= 1
+    assert as_exact >= 3
 
 
 def test_too_few_samples_get_the_usual_error() -> None:

@@ -9,7 +9,6 @@ scatter so much that lines between them are the gap.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -21,15 +20,14 @@ from petkin.dynamics import PiecewiseLinear
 from petkin.errors import InputError
 from petkin.inputs import InputFunction
 from petkin.io import BloodRecord
-from petkin.study.arterial import Reading, arterial_input
-from petkin.study.diagnosis.record import remark
-from petkin.study.sources import Source
+from petkin.study.diagnosis.record import between_errors, record_errors, remark
+from petkin.study.diagnosis.request import FITTED
 
 Array = NDArray[np.float64]
 
-_PLASMA, _BLOOD = "plasma_radioactivity", "whole_blood_radioactivity"
+_TIME, _PLASMA, _BLOOD = "time", "plasma_radioactivity", "whole_blood_radioactivity"
 _FRACTION, _AIF = "metabolite_parent_fraction", "AIF"
-#: Lines and a curve are compared from this time on (min), and said to differ from this share on.
+#: Lines and smooth curves are compared from this time on (min), and said to differ from this share on.
 _SETTLED, _APART = 1.0, 0.03
 
 
@@ -51,7 +49,10 @@ def recorded_input(blood: BloodRecord, end: float) -> InputFunction:
         whole = _joined(fast, whole)
     if (given := _samples(manual, _AIF)) is not None:
         curve = _lines(*given, end)
-        return InputFunction(curve, curve if whole is None else _lines(*whole, end), end=float(given[0][-1]))
+        between = _table(given, _AIF)
+        return InputFunction(
+            curve, curve if whole is None else _lines(*whole, end), end=float(given[0][-1]), samples=between
+        )
     plasma = _samples(manual, _PLASMA)
     if plasma is None:
         raise InputError(f"{blood.where}: there is no column '{_PLASMA}' nor '{_AIF}'; a diagnosis needs plasma.")
@@ -73,35 +74,30 @@ def recorded_input(blood: BloodRecord, end: float) -> InputFunction:
         input_curve,
         total if whole is None else _lines(*whole, end),
         end=float(plasma[0][-1]),
+        samples=_table(plasma, _PLASMA, fraction),
         remarks=tuple(remarks),
         total_plasma=total,
         parent_fraction=share,
     )
 
 
-def fitted_input(source: Source) -> InputFunction:
-    """As `petkin fit` reads it, with a remark on how far its samples scatter.
-
-    Raises:
-        InputError: blood that cannot be read.
-    """
-    found = arterial_input(source, Reading())
-    return replace(found, remarks=(*found.remarks, remark(found)))
+def errors_of(arterial: InputFunction, nodes: Array, how: str) -> Array:
+    """Errors of C_P (m, T) that a record leaves, read as it is or as a fit does."""
+    return record_errors(arterial, nodes) if how == FITTED else between_errors(arterial, nodes)
 
 
-def read_between(source: Source, recorded: InputFunction, nodes: Array) -> InputFunction:
-    """The recorded input, with a remark where lines between its samples lie far from the curve that a fit reads."""
-    with suppress(InputError):
-        late = nodes[(nodes > _SETTLED) & (nodes <= recorded.end)]
-        lines, curve = (np.asarray(f.plasma(late)) for f in (recorded, arterial_input(source, Reading())))
-        apart = np.abs(lines / np.maximum(curve, 1e-300) - 1.0).max(initial=0.0)
-        if apart > _APART:
-            text = (
-                f"Blood is read as straight lines between samples, which lie up to {apart:.0%} from the curve that "
-                "petkin fit reads: that alone can be a gap; see --read-blood fitted."
-            )
-            return replace(recorded, remarks=(*recorded.remarks, text))
-    return recorded
+def allowing(arterial: InputFunction, nodes: Array, errors: Array, how: str) -> InputFunction:
+    """The input with a remark on how far it may err, where that is much."""
+    if how == FITTED:
+        return replace(arterial, remarks=(*arterial.remarks, remark(arterial)))
+    apart = np.abs(errors[:, nodes > _SETTLED]).max(initial=0.0)
+    if apart <= _APART:
+        return arterial
+    text = (
+        "Blood is read as straight lines between samples; smooth curves through them lie up to "
+        f"{apart:.0%} away, which the diagnosis allows for. Where samples scatter, see --read-blood fitted."
+    )
+    return replace(arterial, remarks=(*arterial.remarks, text))
 
 
 def _samples(table: pd.DataFrame, column: str) -> tuple[Array, Array] | None:
@@ -111,6 +107,14 @@ def _samples(table: pd.DataFrame, column: str) -> tuple[Array, Array] | None:
     times, values = table["time"].to_numpy(np.float64), table[column].to_numpy(np.float64)
     known = np.isfinite(values) & np.isfinite(times)
     return (times[known], values[known]) if known.any() else None
+
+
+def _table(plasma: tuple[Array, Array], column: str, fraction: tuple[Array, Array] | None = None) -> pd.DataFrame:
+    """Samples by time, as they were read."""
+    found = pd.DataFrame({_TIME: plasma[0], column: plasma[1]})
+    if fraction is None:
+        return found
+    return found.merge(pd.DataFrame({_TIME: fraction[0], _FRACTION: fraction[1]}), on=_TIME, how="outer", sort=True)
 
 
 def _joined(fast: tuple[Array, Array], slow: tuple[Array, Array] | None) -> tuple[Array, Array]:

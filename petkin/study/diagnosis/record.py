@@ -1,10 +1,17 @@
-"""How far the blood record of a scan is known: errors of C_P, as the record's own samples scatter.
+"""How far the blood record of a scan is known: errors of C_P relative to itself, a, b standard normal.
 
-    C_P(t) = recorded(t) (1 + s_p sum_i a_i h_i(t) + s_f (1 - f(t)) sum_j b_j h_j(t)),    a, b standard normal
+As its samples scatter, where curves were fitted to them,
 
-h hats in ln(t + 1) over the samples of plasma and of the parent fraction f, whose logarithmic odds err alike; s_p from
-plasma about a cubic in ln t after the first minutes, s_f from the fraction about its fitted curve. A dense record
-without noise has none.
+    s_p sum_i a_i h_i(t) + s_f (1 - f(t)) sum_j b_j h_j(t)
+
+with h hats in ln(t + 1) over the samples of plasma and of the parent fraction f, whose logarithmic odds err alike; s_p
+from plasma about a cubic in ln t after the first minutes, s_f from the fraction about its fitted curve. Or, where they
+are joined by straight lines, as a smooth curve through the same samples departs from those,
+
+    a (p(t) / p_line(t) - 1) + b (f(t) / f_line(t) - 1)
+
+with ln p (from its peak on) and ln f (from 1 at injection) monotone cubics of time, as `petkin.inputs` interpolates;
+after their last samples, with an a and b of their own, exponentials. A dense record without noise has neither.
 """
 
 from __future__ import annotations
@@ -14,11 +21,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.inputs import InputFunction
+from petkin.inputs import InputFunction, fit_parent_fraction
+from petkin.inputs.blood_table import Samples
+from petkin.inputs.curves import tail_rate, through
 
 Array = NDArray[np.float64]
 
-_TIME, _PLASMA, _AIF = "time", "plasma_radioactivity", "AIF"
+_TIME, _PLASMA, _AIF, _FRACTION = "time", "plasma_radioactivity", "AIF", "metabolite_parent_fraction"
 #: From this time on (min) plasma falls smoothly; powers of ln t that describe it.
 _SMOOTH, _POWERS = 4.0, 3
 #: Samples that errors are given at, at most, and samples beyond a curve's parameters without which it tells no scatter.
@@ -61,6 +70,33 @@ def record_errors(arterial: InputFunction, nodes: Array) -> Array:
     return np.concatenate([plasma_samples(arterial).errors(nodes), metabolised * fraction.errors(nodes)])
 
 
+def between_errors(arterial: InputFunction, nodes: Array) -> Array:
+    """How smooth curves through the samples of a record depart from the lines that it is read as, relative (m, T).
+
+    Args:
+        arterial: read as lines, with its samples.
+        nodes: min (T,).
+    """
+    found, (times, plasma) = [np.zeros((0, nodes.size))], _activity(arterial)
+    if times.size > 1:
+        smooth, lines = through(Samples(times, plasma))(nodes), np.interp(nodes, times, plasma)
+        found.append(_apart(nodes, smooth, lines, nodes > times[0], times[-1]))
+    if arterial.parent_fraction is not None:
+        times, shares = arterial.samples[[_TIME, _FRACTION]].dropna().to_numpy(np.float64).T
+        falling = np.exp(-tail_rate(Samples(times, shares)) * np.maximum(nodes - times[-1], 0.0))
+        smooth = fit_parent_fraction(times, shares, model="interpolated")(nodes) * falling
+        lines = np.interp(nodes, times, shares)
+        found.append(_apart(nodes, smooth, lines, lines > _NEAREST, times[-1]))
+    return np.concatenate(found)
+
+
+def _apart(nodes: Array, smooth: Array, lines: Array, there: NDArray[np.bool_], last: float) -> Array:
+    """Relative to the lines, where there are any: between samples, and after the last of them (m, T)."""
+    share = np.where(there, smooth / np.where(there, lines, 1.0) - 1.0, 0.0)
+    rows = np.stack([np.where(nodes <= last, share, 0.0), np.where(nodes > last, share, 0.0)])
+    return rows[np.abs(rows).max(axis=1) > 0]
+
+
 def remark(arterial: InputFunction) -> str:
     """What is allowed for, in a sentence."""
     plasma, fraction = plasma_samples(arterial), fraction_samples(arterial)
@@ -70,17 +106,26 @@ def remark(arterial: InputFunction) -> str:
 
 def plasma_samples(arterial: InputFunction) -> Scattered:
     """Samples of total plasma, or of C_P where the record holds that, and their relative scatter."""
-    table = arterial.samples
-    column = _AIF if _AIF in table else _PLASMA
-    if column not in table:
-        return Scattered(np.zeros(0), 0.0)
-    known = table[[_TIME, column]].dropna().to_numpy(np.float64)
-    times, values = known[(known > 0).all(axis=1)].T
+    times, values = _activity(arterial)
+    if not times.size:
+        return Scattered(times, 0.0)
     late = times > _SMOOTH
     if late.sum() <= _POWERS + 1:
         return Scattered(times, _USUAL)
     x, y = np.log(times[late]), np.log(values[late])
-    return Scattered(times, _size(y - np.polyval(np.polyfit(x, y, _POWERS), x), _POWERS + 1))
+    left = np.asarray(y - np.polyval(np.polyfit(x, y, _POWERS), x), np.float64)
+    return Scattered(times, _size(left, _POWERS + 1))
+
+
+def _activity(arterial: InputFunction) -> tuple[Array, Array]:
+    """Times and values of plasma, or of C_P where the record holds that, where both are above 0."""
+    table = arterial.samples
+    column = _AIF if _AIF in table else _PLASMA
+    if column not in table:
+        return np.zeros(0), np.zeros(0)
+    known = table[[_TIME, column]].dropna().to_numpy(np.float64)
+    times, values = known[(known > 0).all(axis=1)].T
+    return times, values
 
 
 def fraction_samples(arterial: InputFunction) -> Scattered:

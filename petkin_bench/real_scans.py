@@ -30,6 +30,7 @@ from petkin.study.diagnosis.blood import errors_of
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
 from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
 from petkin.units import SECONDS_PER_MINUTE
+from petkin_bench.withheld.ablations import PARTS, without
 
 Array = NDArray[np.float64]
 
@@ -89,6 +90,7 @@ def measure_real(
     only: tuple[str, ...] = (),
     rivals: tuple[str, ...] = (),
     blood: str = RECORDED,
+    lacking: str = "",
     seed: int = 0,
 ) -> list[dict[str, object]]:
     """One row a scan and case: what was withheld or put in, and what the diagnosis says.
@@ -100,19 +102,23 @@ def measure_real(
         only: names of cases; empty for all.
         rivals: effects that compete with the answer; empty for the whole catalogue.
         blood: how it is read, "recorded" or "fitted".
+        lacking: a part of the engine that is taken out, "" for none.
         seed: of blunders, twins and draws.
 
     Raises:
-        InputError: no such study, scans that cannot be diagnosed, or no such effect.
+        InputError: no such study, scans that cannot be diagnosed, no such effect or part.
     """
     for name in rivals:
         effect_named(name)
-    return [
-        _row(scan.label, case, rivals, seed)
-        for scan in _recordings(folder, subjects, seg, blood)
-        for case in _cases(scan, np.random.default_rng((seed, *scan.label.encode())))
-        if not only or case.name in only
-    ]
+    if lacking and lacking not in PARTS:
+        raise InputError(f"--without {lacking!r}: there are {', '.join(PARTS)}.")
+    with without(lacking):
+        return [
+            _row(scan.label, case, rivals, seed)
+            for scan in _recordings(folder, subjects, seg, blood)
+            for case in _cases(scan, np.random.default_rng((seed, *scan.label.encode())))
+            if not only or case.name in only
+        ]
 
 
 def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood: str) -> Iterator[_Recording]:

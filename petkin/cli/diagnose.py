@@ -13,7 +13,10 @@ _SIMULATOR, _INPUT, _OUTPUT = "The simulator", "What is diagnosed", "Where resul
 def diagnose(
     target: Annotated[Path, typer.Argument(help="A PET-BIDS study with regional curves (or images with regions).")],
     model: Annotated[
-        str, typer.Option(help="Tissue model of the simulator: 1tcm, 2tcm or 2tcm3k.", rich_help_panel=_SIMULATOR)
+        str,
+        typer.Option(
+            help="Tissue model of the simulator: 1tcm, 2tcm or 2tcm3k (irreversible).", rich_help_panel=_SIMULATOR
+        ),
     ] = "2tcm",
     include: Annotated[
         list[str] | None,
@@ -26,7 +29,7 @@ def diagnose(
     read_blood: Annotated[
         str,
         typer.Option(
-            help="recorded: straight lines between samples, taken as exact; fitted: the curves that petkin fit reads, "
+            help="recorded: straight lines between samples, exact at those; fitted: the curves that petkin fit reads, "
             "allowed to err as the samples scatter, as measured blood does.",
             rich_help_panel=_SIMULATOR,
         ),

@@ -13,7 +13,8 @@ Array = NDArray[np.float64]
 
 #: Standard deviation of an amplitude's prior, in widths of its plausible range.
 _PRIOR_WIDTHS = 1.5
-_ALMOST_ALL = 0.95
+#: Plausible ranges within which a fit may go, and where a relative amplitude ends at the latest.
+_REACH, _ALMOST_ALL = 3.0, 0.95
 
 
 @dataclass(frozen=True)
@@ -77,11 +78,10 @@ class Hypothesis:
     @property
     def limits(self) -> tuple[float, float]:
         """Where a fit may go: three ranges, but a relative amplitude stays below one where its range does."""
+        lower, upper = _REACH * self.lower, _REACH * self.upper
         if self.unit != "1":
-            return 3.0 * self.lower, 3.0 * self.upper
-        return -min(-3.0 * self.lower, max(-self.lower, _ALMOST_ALL)), min(
-            3.0 * self.upper, max(self.upper, _ALMOST_ALL)
-        )
+            return lower, upper
+        return max(lower, min(self.lower, -_ALMOST_ALL)), min(upper, max(self.upper, _ALMOST_ALL))
 
     @property
     def width(self) -> float:

@@ -53,6 +53,7 @@ def real_scans(
         typer.Option(help="Only this effect competes with the answer; repeatable; default: the whole catalogue."),
     ] = None,
     read_blood: Annotated[str, typer.Option(help="recorded or fitted: see petkin diagnose.")] = "recorded",
+    without: Annotated[str, typer.Option(help="Take a part of the engine out: see petkin-bench withheld.")] = "",
     seed: Annotated[int, typer.Option(help="Of blunders, twins and draws.", min=0)] = 0,
 ) -> None:
     """Withhold effects from the simulator, and put blunders into the curves, of real scans; ask what is missing.
@@ -65,9 +66,12 @@ def real_scans(
     from petkin_bench.real_scans import measure_real, summary
 
     subjects, only, rivals = (tuple(values or ()) for values in (subject, case, rival))
-    rows = measure_real(data, subjects=subjects, seg=seg, only=only, rivals=rivals, blood=read_blood, seed=seed)
+    rows = measure_real(
+        data, subjects=subjects, seg=seg, only=only, rivals=rivals, blood=read_blood, lacking=without, seed=seed
+    )
     typer.echo(pd.DataFrame(summary(rows)).to_string(index=False))
-    typer.echo(f"Appended to {append_rows('real_scans', [row | {'seed': seed, 'blood': read_blood} for row in rows])}")
+    settings = {"seed": seed, "blood": read_blood, "without": without}
+    typer.echo(f"Appended to {append_rows('real_scans', [row | settings for row in rows])}")
 
 
 def withheld(
@@ -98,7 +102,7 @@ def withheld(
     from petkin_bench.withheld.run import LEARNED_SEED, Plan, run
     from petkin_bench.withheld.score import joined, metrics, text_of
 
-    network = work / f"network_seed{LEARNED_SEED}_regions{regions}_{examples}.pt"
+    network = work / f"network_seed{LEARNED_SEED}_regions{regions}_{examples}.safetensors"
     plan = Plan(split, seed, cases, regions, draws, without, images, network)
     if without == "engine" and not network.is_file():
         from petkin_bench.withheld.network import train_network

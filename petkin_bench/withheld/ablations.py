@@ -28,7 +28,7 @@ def _no_pairs(*_: Any) -> list[Any]:
 #: Part -> module of the engine, class in it or "", name, and what stands in for it.
 _STAND_INS: dict[str, tuple[tuple[str, str, str, Any], ...]] = {
     "projection": (("nuisance", "Projection", "of", _no_axes),),
-    "priors": (("effect", "", "_PRIOR_WIDTHS", 1e3),),
+    "priors": (("effect", "", "_PRIOR_WIDTHS", 1e3), ("effect", "", "_REACH", 1e3)),
     "common_noise": (("noise", "", "common_share", _no_share),),
     "pairs": (("diagnose", "", "pairs", _no_pairs),),
 }

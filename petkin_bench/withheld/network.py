@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors.torch import load_model, save_model
 from torch import Tensor, nn
 
 from petkin.diagnosis import base_fit
@@ -108,13 +109,13 @@ def learned(seen: list[Features], wanted: Array, *, seed: int) -> Classifier:
 
 def train_network(path: Path, *, seed: int, count: int, regions: int) -> None:
     """Learn from training cases of a seed, and keep what was learned."""
-    torch.save(learned(*examples(seed, count, regions), seed=seed).state_dict(), path)
+    save_model(learned(*examples(seed, count, regions), seed=seed), str(path))
 
 
 @lru_cache(maxsize=1)
 def _kept(path: Path) -> Classifier:
     network = Classifier()
-    network.load_state_dict(torch.load(path, weights_only=True))
+    load_model(network, str(path))
     return network.eval()
 
 

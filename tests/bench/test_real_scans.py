@@ -57,6 +57,11 @@ def test_a_rival_of_no_catalogue_is_one_line(shared_data: Path) -> None:
         measure_real(shared_data / "pbr28", rivals=("nonsense",))
 
 
+def test_a_part_that_the_engine_has_not_is_one_line(shared_data: Path) -> None:
+    with pytest.raises(InputError, match="--without 'nonsense': there are projection, priors"):
+        measure_real(shared_data / "pbr28", lacking="nonsense")
+
+
 def test_no_rows_are_no_summary() -> None:
     with pytest.raises(InputError, match="no scans"):
         summary([])

@@ -102,6 +102,12 @@ def test_the_answer_passes_the_schema_and_names_the_step(stepped: Diagnosed) -> 
     assert written["where"]["onset_frame"] is not None
 
 
+@pytest.mark.parametrize(("model", "said"), [("2tcm", True), ("2tcm3k", False)])
+def test_irreversible_binding_is_pointed_at(tmp_path: Path, model: str, said: bool) -> None:
+    one = diagnosed(simulated(tmp_path, tracer="fdg"), tmp_path / "out", model=model, include=INCLUDES)
+    assert ("use --model 2tcm3k" in one.report.read_text()) is said
+
+
 def test_rules_of_the_answer(stepped: Diagnosed) -> None:
     answer = stepped.answer
     named = sum(cause["probability"] for cause in answer["causes"])

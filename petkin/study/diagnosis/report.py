@@ -9,15 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis
+from petkin.diagnosis.refit import Fit
 from petkin.fitting import Status
 from petkin.io import RegionalCurves
 from petkin.reporting import GapReport, MapSet, ParameterMap, RegionCurves
-from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.regional import PRIOR, RegionalSimulator
 from petkin.study.diagnosis.sidecar import Blunder
 from petkin.study.diagnosis.state import StatesRead
 from petkin.study.diagnosis.state_files import drawn_states
 from petkin.study.fit_report import directions
 from petkin.study.sources import Source
+
+#: A rate is far below its prior's median from this many of its standard deviations on.
+_FAR = 2.0
 
 
 @dataclass(frozen=True)
@@ -70,9 +74,24 @@ def gap_report(
 
 
 def _warnings(source: Source, simulator: RegionalSimulator, one: Judged) -> tuple[str, ...]:
-    """What was odd about the files, and what hybrids have not seen; each once."""
+    """What was odd about the files and the refit, and what hybrids have not seen; each once."""
     unseen = () if one.states is None else one.states.remarks
-    return tuple(dict.fromkeys([*map(str, source.remarks), *simulator.input.remarks, *unseen]))
+    said = [*map(str, source.remarks), *simulator.input.remarks, *irreversible(simulator, one.found.base), *unseen]
+    return tuple(dict.fromkeys(said))
+
+
+def irreversible(simulator: RegionalSimulator, fit: Fit) -> tuple[str, ...]:
+    """A remark where k4 refits so far below what its prior takes for likely that the prior itself is a gap."""
+    if "k4" not in simulator.own.symbols:
+        return ()
+    median, sd = PRIOR["k4"]
+    k4 = float(np.exp(np.median(fit.state.own[:, simulator.own.symbols.index("k4")])))
+    if k4 > median * np.exp(-_FAR * sd):
+        return ()
+    return (
+        f"k4 refits to {k4:.2g} min^-1 (median of the regions), far below the {median:g} that is likely beforehand, "
+        "which can pass for a gap. Where binding is irreversible, as of FDG, use --model 2tcm3k.",
+    )
 
 
 def _gap_map(source: Source, one: Judged) -> MapSet | None:

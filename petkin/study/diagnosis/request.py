@@ -31,7 +31,7 @@ class DiagnoseRequest:
         subjects, sessions: labels; empty for all.
         seg: which segmentation or table of curves.
         out: folder for the results; None: `derivatives/petkin` of the study.
-        blood: "recorded" (straight lines between samples, taken as exact) or "fitted" (the curves that a fit reads,
+        blood: "recorded" (straight lines between samples, exact at those) or "fitted" (the curves that a fit reads,
             allowed to err as the samples scatter about them).
         checkpoints: of `petkin train`, an ensemble that maps what the law of the tissue lacks; none for no such map.
         seed: of the draws of noise.

@@ -6,6 +6,7 @@ import fcntl
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
@@ -14,7 +15,9 @@ from typing import BinaryIO
 
 from petkin.errors import InputError
 
-_TEMPORARY, _LOCK = ".petkin-", "lock"
+_TEMPORARY, _LOCK, _NEW = ".petkin-", "lock", "new"
+#: Age (s) from which on a folder without a lock was left by a process that was killed while it made it.
+_LEFT = 3600.0
 #: Which permissions this process does not give; there is no way to ask without changing it, which threads would see.
 _UMASK = os.umask(0o077)
 os.umask(_UMASK)
@@ -143,7 +146,7 @@ def temporary_folder(near: Path) -> Iterator[Path]:
     remove_orphans(near)
     folder = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{os.getpid()}-", dir=near))
     try:
-        with (folder / "new").open("wb") as lock:
+        with (folder / _NEW).open("wb") as lock:
             with suppress(OSError):  # a file system without locks: what is left there stays
                 fcntl.flock(lock, fcntl.LOCK_EX)
                 Path(lock.name).rename(folder / _LOCK)
@@ -153,11 +156,22 @@ def temporary_folder(near: Path) -> Iterator[Path]:
 
 
 def remove_orphans(near: Path) -> None:
-    """Remove temporary folders whose owners were killed outright."""
+    """Remove temporary folders whose owners were killed outright; later, those that never got their lock."""
     for lock in near.glob(f"{_TEMPORARY}*/{_LOCK}"):
-        with suppress(OSError), lock.open("r+b") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(lock.parent, ignore_errors=True)
+        _remove_unless_locked(lock)
+    for folder in near.glob(f"{_TEMPORARY}*/"):
+        with suppress(OSError):
+            if (folder / _LOCK).exists() or time.time() - folder.stat().st_mtime < _LEFT:
+                continue
+            _remove_unless_locked(folder / _NEW)
+            folder.rmdir()
+
+
+def _remove_unless_locked(lock: Path) -> None:
+    """Remove the folder of a file that no living process has locked."""
+    with suppress(OSError), lock.open("r+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        shutil.rmtree(lock.parent, ignore_errors=True)
 
 
 def make_folder(folder: Path) -> None:

@@ -82,7 +82,7 @@ def _until(there: Callable[[], T | None]) -> T:
 
 
 def _at_work(study: Path) -> list[int]:
-    """Processes that hold a folder of half a scan; one killed in the moment before leaves its folder for good."""
+    """Processes that hold a folder of half a scan; one killed in the moment before leaves its folder for an hour."""
     return [int(path.parent.name.split("-")[1]) for path in study.rglob(".petkin-*-*/lock")]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from petkin.errors import InputError
+from petkin.io import atomic
 from petkin.io.atomic import AtomicFolder, remove_orphans, temporary_folder, write_text
 from petkin.io.scratch import Rows, Scratch
 
@@ -94,3 +95,36 @@ def test_two_that_make_the_same_folder_both_end_well(tmp_path: Path) -> None:
         write_text(second.path("two"), "2")
     assert sorted(path.name for path in out.iterdir()) == ["one", "two"]
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("held", [(), ("new",)])
+def test_a_folder_that_never_got_its_lock_goes_once_it_is_old(tmp_path: Path, held: tuple[str, ...]) -> None:
+    folder = tmp_path / ".petkin-1-abc"
+    folder.mkdir()
+    for name in held:
+        (folder / name).touch()
+    remove_orphans(tmp_path)
+    assert folder.is_dir()
+    os.utime(folder, (0, 0))
+    remove_orphans(tmp_path)
+    assert not folder.exists()
+
+
+def test_an_old_folder_in_use_stays(tmp_path: Path) -> None:
+    with temporary_folder(tmp_path) as mine:
+        os.utime(mine, (0, 0))
+        remove_orphans(tmp_path)
+        assert mine.is_dir()
+
+
+def test_an_old_folder_that_cannot_be_locked_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the file system has no locks, nobody knows whether its owner lives."""
+    monkeypatch.setattr(atomic.fcntl, "flock", refused)
+    with temporary_folder(tmp_path) as mine:
+        os.utime(mine, (0, 0))
+        remove_orphans(tmp_path)
+        assert mine.is_dir()
+
+
+def refused(*_: object) -> None:
+    raise OSError("no locks available")

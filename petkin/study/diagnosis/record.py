@@ -146,7 +146,10 @@ def _log_odds(share: Array) -> Array:
 
 
 def _size(left: Array, parameters: int) -> float:
-    """Robust standard deviation of what a fit of so many parameters left."""
+    """Robust standard deviation of what a fit of so many parameters left.
+
+    The median absolute deviation over 0.6745: Rousseeuw PJ, Croux C. J Am Stat Assoc 1993;88:1273-1283.
+    """
     if left.size < parameters + _SPARE:
         return _USUAL
     return float(np.median(np.abs(left)) / 0.6745 * np.sqrt(left.size / (left.size - parameters)))

@@ -130,6 +130,13 @@ def test_sparse_samples_of_a_scan_without_an_effect_are_no_gap(tmp_path: Path) -
     assert as_exact >= 3
 
 
+@pytest.mark.parametrize("column", ["plasma_radioactivity", "AIF", "metabolite_parent_fraction"])
+def test_blood_without_activity_is_one_line(column: str) -> None:
+    table = pd.DataFrame({"time": [0.0, 1.0, 2.0], "plasma_radioactivity": 1.0, column: 0.0})
+    with pytest.raises(InputError, match=f"here: column '{column}' has no value above 0"):
+        recorded_input(BloodRecord(table, None, True, None, "here"), 2.0)
+
+
 def test_too_few_samples_get_the_usual_error() -> None:
     assert plasma_samples(blood(SPARSE[[3, 6, 9, 12, 15]], 0.2)).size == pytest.approx(0.05)
 

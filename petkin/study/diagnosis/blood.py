@@ -38,7 +38,7 @@ def recorded_input(blood: BloodRecord, end: float) -> InputFunction:
     blood times the interpolated plasma-to-blood ratio where it has no samples of its own.
 
     Raises:
-        InputError: no plasma, or no whole blood and nothing to stand for it.
+        InputError: no plasma, or none with activity.
     """
     manual = blood.manual if blood.manual is not None else blood.automatic
     automatic = blood.automatic if blood.manual is not None else None
@@ -48,18 +48,21 @@ def recorded_input(blood: BloodRecord, end: float) -> InputFunction:
     if automatic is not None and (fast := _samples(automatic, _BLOOD)) is not None:
         whole = _joined(fast, whole)
     if (given := _samples(manual, _AIF)) is not None:
-        curve = _lines(*given, end)
-        between = _table(given, _AIF)
+        _require_activity(given, _AIF, blood.where)
+        curve, between = _lines(*given, end), _table(given, _AIF)
         return InputFunction(
             curve, curve if whole is None else _lines(*whole, end), end=float(given[0][-1]), samples=between
         )
     plasma = _samples(manual, _PLASMA)
     if plasma is None:
         raise InputError(f"{blood.where}: there is no column '{_PLASMA}' nor '{_AIF}'; a diagnosis needs plasma.")
+    _require_activity(plasma, _PLASMA, blood.where)
     remarks = _held({"plasma": plasma, "whole blood": whole}, end)
     if automatic is not None and whole is not None:
         plasma = _through_ratio(plasma, whole)
     fraction = _samples(manual, _FRACTION)
+    if fraction is not None:
+        _require_activity(fraction, _FRACTION, blood.where)
     total, knots = _lines(*plasma, end), [plasma[0], np.array([0.0, end])]
     if fraction is not None:
         knots.append(fraction[0])
@@ -107,6 +110,11 @@ def _samples(table: pd.DataFrame, column: str) -> tuple[Array, Array] | None:
     times, values = table["time"].to_numpy(np.float64), table[column].to_numpy(np.float64)
     known = np.isfinite(values) & np.isfinite(times)
     return (times[known], values[known]) if known.any() else None
+
+
+def _require_activity(samples: tuple[Array, Array], column: str, where: str) -> None:
+    if not (samples[1] > 0).any():
+        raise InputError(f"{where}: column '{column}' has no value above 0; a diagnosis needs an arterial input.")
 
 
 def _table(plasma: tuple[Array, Array], column: str, fraction: tuple[Array, Array] | None = None) -> pd.DataFrame:

@@ -205,4 +205,5 @@ def test_a_reader_who_must_find_the_settings_is_asked_of_single_causes_alone() -
     assert (shares[:, 1] <= shares[:, 0]).all()
     assert shares[:, 0].max() > 1.0 / len(KNOWN)
     strong = [row for answer, row in asked.values() if answer.detectability > 8.0]
+    assert strong
     assert all(row["ideal_claimed"] == row["ideal"] for row in strong)

@@ -1,5 +1,5 @@
 """The blood record as a diagnosis reads it: straight lines between samples, nothing corrected, nothing modelled; or,
-where that is asked for, as a fit reads it.
+where that is asked for, as a fit reads it. How far it may err either way, `petkin.study.diagnosis.record` tells.
 
 Each column is interpolated by itself (missing rows are skipped) and then multiplied; activities are zero before time 0
 and rise straight to the first sample; the last value is held to the end of the scan. A fit reads blood with more care

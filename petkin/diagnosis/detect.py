@@ -8,6 +8,8 @@ Reference: Anau Montel N, Alvey J, Weniger C. Phys Rev D 2025;111:083013. arXiv:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
@@ -17,23 +19,25 @@ from petkin.diagnosis.noise import outlying, second_differences, size_and_share,
 
 Array = NDArray[np.float64]
 
-#: Degrees of freedom tried for heavy tails, and the log likelihood by which they must beat normal ones; rounds in which
-#: their scale settles.
-_TAILS, _CLEARLY, _ROUNDS = (3.5, 5.0, 8.0), 1.0, 30
+#: Degrees of freedom that tails may have, infinite for normal ones; rounds in which their scale settles.
+_TAILS, _ROUNDS = (np.inf, 8.0, 5.0, 3.5), 30
 
 
-def tail_freedom(residuals: Array) -> float:
-    """Degrees of freedom of Student's t, of those tried, that make residuals likeliest; infinite where normal tails do
-    nearly as well."""
+def tails(residuals: Array) -> dict[float, float]:
+    """Probability of every number of degrees of freedom of Student's t, as residuals tell it, any as likely beforehand.
+
+    A scan has some hundred values, which seldom say for sure whether a few large ones are its tails or chance.
+    """
     squares = np.ravel(residuals) ** 2
-    normal = -0.5 * squares.size * (np.log(2.0 * np.pi * squares.mean()) + 1.0)
-    likelihood = {freedom: _student(squares, freedom) for freedom in _TAILS}
-    best = max(likelihood, key=lambda freedom: likelihood[freedom])
-    return best if likelihood[best] > normal + _CLEARLY else np.inf
+    logs = np.array([_student(squares, freedom) for freedom in _TAILS])
+    shares = np.exp(logs - logs.max())
+    return {freedom: float(share) for freedom, share in zip(_TAILS, shares / shares.sum())}
 
 
 def _student(squares: Array, freedom: float) -> float:
     """Log likelihood of Student's t at its likeliest scale, for squared residuals."""
+    if np.isinf(freedom):
+        return float(-0.5 * squares.size * (np.log(2.0 * np.pi * max(squares.mean(), 1e-300)) + 1.0))
     scale = max(float(np.median(squares)), 1e-300)
     for _ in range(_ROUNDS):
         scale = max(float(((freedom + 1.0) / (freedom + squares / scale) * squares).mean()), 1e-300)
@@ -42,7 +46,12 @@ def _student(squares: Array, freedom: float) -> float:
 
 
 def noise_draws(
-    rng: np.random.Generator, count: int, noise: Noise, freedom: float, bases: list[Array], level: Array
+    rng: np.random.Generator,
+    count: int,
+    noise: Noise,
+    likely: Mapping[float, float],
+    bases: list[Array],
+    level: Array,
 ) -> Array:
     """Whitened draws (count, C K) of noise, their size and share estimated from themselves.
 
@@ -50,11 +59,13 @@ def noise_draws(
         rng: randomness.
         count: draws.
         noise: whose sizes and share they have.
-        freedom: of the tails.
+        likely: degrees of freedom of their tails, each in its share of the draws.
         bases: what the flexible fit took from every channel (K, active).
         level: typical size of the values in units of the spread (C,).
     """
     channels, samples = noise.spread.shape
+    held = np.cumsum([*likely.values()])
+    freedom = np.array([*likely])[np.searchsorted(held, (np.arange(count) + 0.5) / count * held[-1])]
     alone = _tailed(rng, (count, channels, samples), freedom)
     common = _tailed(rng, (count, 1, samples), freedom)
     draws = noise.mixed(alone, common)
@@ -70,11 +81,13 @@ def noise_draws(
     return noise.settled(white + noise.erring(rng, count))
 
 
-def _tailed(rng: np.random.Generator, shape: tuple[int, ...], freedom: float) -> Array:
+def _tailed(rng: np.random.Generator, shape: tuple[int, ...], freedom: Array) -> Array:
+    """Draws of unit variance, each with its own degrees of freedom (n,) along the first axis."""
     drawn = rng.standard_normal(shape)
-    if np.isinf(freedom):
-        return drawn
-    return drawn * np.sqrt((freedom - 2.0) / rng.chisquare(freedom, shape))
+    heavy = np.isfinite(freedom)
+    own = freedom[heavy][:, None, None]
+    drawn[heavy] *= np.sqrt((own - 2.0) / rng.chisquare(own, drawn[heavy].shape))
+    return drawn
 
 
 def p_value(observed: float, null: Array) -> float:

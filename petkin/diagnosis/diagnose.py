@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible, foresee
-from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
+from petkin.diagnosis.detect import noise_draws, p_value, tails
 from petkin.diagnosis.effect import Hypothesis, Simulator
 from petkin.diagnosis.estimates import estimates, regions, setting, strengths
 from petkin.diagnosis.how_far import closure
@@ -110,7 +110,7 @@ def draws_left(
     """
     base, noise, bases, loose = based
     projection = Projection.of_fit(base) if projection is None else projection
-    drawn = noise_draws(rng, count, noise, tail_freedom(loose), bases, levels(base.values, noise.spread))
+    drawn = noise_draws(rng, count, noise, tails(loose), bases, levels(base.values, noise.spread))
     return projection.left(drawn, projection.priors(rng, count, base))
 
 

@@ -84,9 +84,15 @@ class Hypothesis:
         return max(lower, min(self.lower, -_ALMOST_ALL)), min(upper, max(self.upper, _ALMOST_ALL))
 
     @property
+    def widths(self) -> tuple[float, float]:
+        """Standard deviations of the amplitude's prior, below zero and above: each that of its own side of the range."""
+        below, above = (_PRIOR_WIDTHS * self.trust * abs(end) for end in (self.lower, self.upper))
+        return below or above, above or below
+
+    @property
     def width(self) -> float:
-        """Standard deviation of the amplitude's prior."""
-        return _PRIOR_WIDTHS * self.trust * max(abs(self.lower), abs(self.upper))
+        """The larger of both."""
+        return max(self.widths)
 
     @property
     def typical(self) -> float:

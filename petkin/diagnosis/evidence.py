@@ -36,10 +36,16 @@ def one_sided(t: Array) -> Array:
     return _one_sided(t.ravel(), _OCCAM).reshape(t.shape)
 
 
-def two_sided(t: Array) -> Array:
-    """log B(t) of an amplitude of either sign."""
+def two_sided(t: Array, above: Array | None = None) -> Array:
+    """log B(t) of an amplitude of either sign.
+
+    Args:
+        t: of one below zero, and of one above as well.
+        above: of one above, where its prior has another width.
+    """
     t = np.asarray(t, np.float64)
-    return _two_sided(t.ravel(), _OCCAM).reshape(t.shape)
+    above = t if above is None else np.asarray(above, np.float64)
+    return _two_sided(t.ravel(), above.ravel(), _OCCAM).reshape(t.shape)
 
 
 def mean(logs: Array, axis: int = -1) -> Array:
@@ -104,10 +110,11 @@ def _one_sided(t, occam):
 
 
 @njit(cache=True, error_model="numpy")
-def _two_sided(t, occam):
-    found = np.empty_like(t)
-    for i in range(t.size):
-        more, less = _averaged(abs(t[i]), occam), _averaged(-abs(t[i]), occam)
+def _two_sided(below, above, occam):
+    found = np.empty_like(below)
+    for i in range(below.size):
+        one, other = _averaged(above[i], occam), _averaged(-below[i], occam)
+        more, less = max(one, other), min(one, other)
         found[i] = more + np.log1p(np.exp(less - more)) - np.log(2.0)
     return found
 

@@ -321,9 +321,10 @@ def _prior(simulator: Simulator, state: State) -> tuple[Array, Array]:
     offset = [(state.own - own.mean).ravel(), state.shared - shared.mean]
     for term in state.terms:
         for part, width in parts(term, count):
-            sd = shape_of(term, part).sd if part else term.hypothesis.width
             value = np.log(term.setting[part] / _middle(term, part)) if part else term.amplitude
-            penalty.append(np.full(width, sd**-2.0))
+            below, above = (shape_of(term, part).sd,) * 2 if part else term.hypothesis.widths
+            sd = np.where(np.asarray(value) < 0, below, above)
+            penalty.append(np.broadcast_to(sd**-2.0, (width,)))
             offset.append(np.broadcast_to(value, (width,)))
     return np.concatenate(penalty), np.concatenate(offset)
 

@@ -116,8 +116,8 @@ class Scan:
         return {kind: self._of(members) for kind, members in which.items()}
 
     def _of(self, members: list[int]) -> _Alone:
-        known = [0.0 if (h := self.templates[i].hypothesis).flag else h.width**-2.0 for i in members]
-        information = np.array([self._information[i][0, 0] for i in members]) + known
+        known = [(0.0, 0.0) if (h := self.templates[i].hypothesis).flag else _precisions(h) for i in members]
+        information = np.array([self._information[i][0, 0] for i in members])[:, None] + known
         return _Alone(np.array(members), np.array([self._places[i].start for i in members]), information)
 
     @cached_property
@@ -163,7 +163,8 @@ class Scan:
 
 @dataclass(frozen=True)
 class _Alone:
-    """Templates of one amplitude: which, where their columns stand, and what data and prior tell of it."""
+    """Templates of one amplitude: which, where their columns stand, and what data and prior tell of it (m, 2), below
+    zero and above."""
 
     which: NDArray[np.intp]
     columns: NDArray[np.intp]
@@ -171,22 +172,27 @@ class _Alone:
 
 
 def _evidence(hypothesis: Hypothesis) -> Callable[[Array, Array], Array]:
-    """How scores (..., m) and the information on them (m,) give log evidence."""
+    """How scores (..., m) and the information on them (m, 2) give log evidence."""
     if hypothesis.flag:
         return _of_flags
     return _of_signed if hypothesis.signed else _of_positive
 
 
+def _precisions(hypothesis: Hypothesis) -> tuple[float, float]:
+    below, above = hypothesis.widths
+    return below**-2.0, above**-2.0
+
+
 def _of_flags(score: Array, information: Array) -> Array:
-    return score - 0.5 * information
+    return score - 0.5 * information[:, 1]
 
 
 def _of_signed(score: Array, information: Array) -> Array:
-    return evidence.two_sided(score / np.sqrt(information))
+    return evidence.two_sided(*(score / np.sqrt(side) for side in information.T))
 
 
 def _of_positive(score: Array, information: Array) -> Array:
-    return evidence.one_sided(score / np.sqrt(information))
+    return evidence.one_sided(score / np.sqrt(information[:, 1]))
 
 
 def starts(scan: Scan, residual: Array, each: Array, name: str, most: int = 1) -> list[Term]:

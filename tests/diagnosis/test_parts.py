@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise, inverse_root, loads
-from petkin.diagnosis.detect import noise_draws, p_value, tail_freedom
+from petkin.diagnosis.detect import noise_draws, p_value, tails
 from petkin.diagnosis.effect import Hypothesis, Term, foreknown
 from petkin.diagnosis.noise import common_share, from_flexible, levels, outlying, pooled, second_differences
 from petkin.diagnosis.nominal import base_fit
@@ -166,15 +166,28 @@ def test_evidence_of_many_at_once_is_that_of_each() -> None:
 def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
     rng = np.random.default_rng(5)
     noise = Noise(np.ones((5, 36)), np.ones(5), 0.4)
-    draws = noise_draws(rng, 300, noise, np.inf, [np.zeros((36, 0))] * 5, np.ones(5))
+    draws = noise_draws(rng, 300, noise, {np.inf: 1.0}, [np.zeros((36, 0))] * 5, np.ones(5))
     assert draws.shape == (300, 180)
     assert float((draws**2).mean()) == pytest.approx(1.0, abs=0.06)
 
 
 def test_tails_are_told_apart() -> None:
     rng = np.random.default_rng(6)
-    assert tail_freedom(rng.standard_normal(3000)) > 20
-    assert tail_freedom(rng.standard_t(5, 3000)) < 20
+    normal, heavy = tails(rng.standard_normal(3000)), tails(rng.standard_t(5, 3000))
+    assert sum(normal.values()) == pytest.approx(1.0)
+    assert normal[np.inf] > 0.9
+    assert heavy[np.inf] < 1e-6
+    assert max(heavy, key=lambda freedom: heavy[freedom]) == 5.0
+
+
+def test_draws_have_each_tail_in_its_share() -> None:
+    """Beyond four standard deviations lie 6e-5 of normal draws and 0.0056 of those with 5 degrees of freedom."""
+    noise = Noise(np.ones((2, 40)), np.ones(2), 0.0)
+    shares = {5.0: 0.25, np.inf: 0.75}
+    drawn = noise_draws(np.random.default_rng(8), 4000, noise, shares, [np.zeros((40, 0))] * 2, np.ones(2))
+    beyond = (np.abs(drawn) > 4.0).mean(axis=1)
+    assert beyond[:1000].mean() > 20 * beyond[1000:].mean()
+    assert beyond[1000:].mean() < 3e-4
 
 
 def test_p_value_counts_the_data_themselves() -> None:
@@ -234,10 +247,10 @@ def test_one_witness_is_heard_once() -> None:
 
 def test_heavy_tails_are_seen_in_a_single_scan_and_normal_ones_left_alone() -> None:
     rng = np.random.default_rng(7)
-    heavy = [tail_freedom(rng.standard_t(4, 180)) for _ in range(40)]
-    normal = [tail_freedom(rng.standard_normal(180)) for _ in range(40)]
-    assert np.mean(np.isfinite(heavy)) > 0.75
-    assert np.mean(np.isfinite(normal)) < 0.15
+    heavy = [tails(rng.standard_t(4, 180))[np.inf] for _ in range(40)]
+    normal = [tails(rng.standard_normal(180))[np.inf] for _ in range(40)]
+    assert np.mean(np.array(heavy) < 0.1) > 0.75
+    assert np.median(normal) > 0.75
 
 
 def test_no_more_than_a_share_is_taken_for_a_factor_in_common() -> None:

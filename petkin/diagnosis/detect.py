@@ -19,8 +19,9 @@ from petkin.diagnosis.noise import outlying, second_differences, size_and_share,
 
 Array = NDArray[np.float64]
 
-#: Degrees of freedom that tails may have, infinite for normal ones; rounds in which their scale settles.
-_TAILS, _ROUNDS = (np.inf, 8.0, 5.0, 3.5), 30
+#: Degrees of freedom that tails may have, infinite for normal ones; rounds in which their scale settles, and in which
+#: wild values are found, as often as those of the data.
+_TAILS, _ROUNDS, _LOOKS = (np.inf, 8.0, 5.0, 3.5), 30, 2
 
 
 def tails(residuals: Array) -> dict[float, float]:
@@ -53,13 +54,14 @@ def noise_draws(
     bases: list[Array],
     level: Array,
 ) -> Array:
-    """Whitened draws (count, C K) of noise, their size and share estimated from themselves.
+    """Whitened draws (count, C K) of noise, their wild values, size and share found in themselves as in the data.
 
     Args:
         rng: randomness.
         count: draws.
         noise: whose sizes and share they have.
-        likely: degrees of freedom of their tails, each in its share of the draws.
+        likely: degrees of freedom of each channel's own, each in its share of the draws. What a sample has in common
+            is normal: one that is off in all channels is a gap, not a tail.
         bases: what the flexible fit took from every channel (K, active).
         level: typical size of the values in units of the spread (C,).
     """
@@ -67,11 +69,12 @@ def noise_draws(
     held = np.cumsum([*likely.values()])
     freedom = np.array([*likely])[np.searchsorted(held, (np.arange(count) + 0.5) / count * held[-1])]
     alone = _tailed(rng, (count, channels, samples), freedom)
-    common = _tailed(rng, (count, 1, samples), freedom)
-    draws = noise.mixed(alone, common)
-    draws = draws / outlying(draws)
-    left = np.stack([draws[:, c] - (draws[:, c] @ axes) @ axes.T for c, axes in enumerate(bases)], axis=1)
-    left = without_jumps(left)
+    draws = noise.mixed(alone, rng.standard_normal((count, 1, samples)))
+    wild = np.ones_like(draws)
+    for _ in range(_LOOKS):
+        wild = outlying(_beyond(draws / wild, bases) * wild)
+    draws = draws / wild
+    left = without_jumps(_beyond(draws, bases))
     degrees = np.array([max(samples - axes.shape[1], 1) for axes in bases], float)
     bends, factor = second_differences(draws), noise.load is not None
     size, shares = size_and_share(left, degrees, bends, noise.size, level, factor=factor)
@@ -79,6 +82,11 @@ def noise_draws(
     mixing = inverse_root(channels, shares, noise.loaded(level, size))
     white = np.einsum("bcd,bdk->bck", mixing, draws / relative).reshape(count, -1)
     return noise.settled(white + noise.erring(rng, count))
+
+
+def _beyond(draws: Array, bases: list[Array]) -> Array:
+    """What the flexible fit leaves of draws (n, C, K)."""
+    return np.stack([draws[:, c] - (draws[:, c] @ axes) @ axes.T for c, axes in enumerate(bases)], axis=1)
 
 
 def _tailed(rng: np.random.Generator, shape: tuple[int, ...], freedom: Array) -> Array:

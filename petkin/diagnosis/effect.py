@@ -85,7 +85,7 @@ class Hypothesis:
 
     @property
     def widths(self) -> tuple[float, float]:
-        """Standard deviations of the amplitude's prior, below zero and above: each that of its own side of the range."""
+        """Standard deviations of the amplitude's prior, below zero and above, as wide as each side of the range."""
         below, above = (_PRIOR_WIDTHS * self.trust * abs(end) for end in (self.lower, self.upper))
         return below or above, above or below
 

@@ -173,7 +173,7 @@ def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
 
 def test_tails_are_told_apart() -> None:
     rng = np.random.default_rng(6)
-    normal, heavy = tails(rng.standard_normal(3000)), tails(rng.standard_t(5, 3000))
+    normal, heavy = tails(rng.standard_normal((5, 600))), tails(rng.standard_t(5, (5, 600)))
     assert sum(normal.values()) == pytest.approx(1.0)
     assert normal[np.inf] > 0.9
     assert heavy[np.inf] < 1e-6
@@ -188,6 +188,14 @@ def test_draws_have_each_tail_in_its_share() -> None:
     beyond = (np.abs(drawn) > 4.0).mean(axis=1)
     assert beyond[:1000].mean() > 20 * beyond[1000:].mean()
     assert beyond[1000:].mean() < 3e-4
+
+
+def test_what_a_sample_has_in_common_is_normal_whatever_the_tails() -> None:
+    noise = Noise(np.ones((4, 40)), np.ones(4), 0.9)
+    drawn = noise_draws(np.random.default_rng(9), 4000, noise, {3.5: 1.0}, [np.zeros((40, 0))] * 4, np.ones(4))
+    together = drawn.reshape(4000, 4, 40).mean(axis=1)
+    together /= together.std()
+    assert (np.abs(together) > 5.0).mean() < 3e-5
 
 
 def test_p_value_counts_the_data_themselves() -> None:
@@ -247,8 +255,8 @@ def test_one_witness_is_heard_once() -> None:
 
 def test_heavy_tails_are_seen_in_a_single_scan_and_normal_ones_left_alone() -> None:
     rng = np.random.default_rng(7)
-    heavy = [tails(rng.standard_t(4, 180))[np.inf] for _ in range(40)]
-    normal = [tails(rng.standard_normal(180))[np.inf] for _ in range(40)]
+    heavy = [tails(rng.standard_t(4, (5, 36)))[np.inf] for _ in range(40)]
+    normal = [tails(rng.standard_normal((5, 36)))[np.inf] for _ in range(40)]
     assert np.mean(np.array(heavy) < 0.1) > 0.75
     assert np.median(normal) > 0.75
 

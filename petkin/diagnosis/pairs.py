@@ -22,7 +22,7 @@ from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, begun
 from petkin.diagnosis.scan import Scan, Template, starts
-from petkin.diagnosis.which import Candidate, after_refit, excess, halfway, refitted
+from petkin.diagnosis.which import Candidate, after_refit, as_promised, excess, halfway, refitted
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,7 @@ def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted
     leader = None if wanted.begin is None else wanted.begin.fit
     start = begun(simulator, data, noise, leader or base, wanted.terms if leader is None else wanted.terms[-1:])
     pair = refitted(simulator, data, noise, base, start)
+    pair = as_promised(simulator, data, noise, base, pair, wanted.terms, wanted.score)
     if wanted.begin is None or leader is None or pair.fit is None:
         value = halfway(pair.log_evidence - wanted.excess, wanted.score, wanted.terms)
         return replace(pair, log_evidence=value - SECOND)

@@ -149,16 +149,23 @@ def begun(simulator: Simulator, data: Array, noise: Noise, origin: Fit, added: t
 def _lower(
     simulator: Simulator, noise: Noise, target: Array, here: Fit, damping: float, *, patient: bool
 ) -> tuple[Fit | None, float]:
-    """A lower point by a damped step, with the simulator's own derivatives as they are here, and the next damping."""
+    """A lower point by a damped step, with the simulator's own derivatives as they are here, and the next damping.
+
+    Where a step does not lead down, one with the shapes as they are may: an onset between two samples is a kink, at
+    which a slope to one side says nothing of the other and would hold up all else.
+    """
     normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
     slope = here.jacobian.T @ here.residual + np.sqrt(here.penalty) * here.pulled
-    room = _room(simulator, here.state)
+    rooms = [_room(simulator, here.state)]
+    if any(term.hypothesis.shapes for term in here.state.terms):
+        rooms.append(_room(simulator, here.state, still=True))
     while damping < _STUCK:
         scale = damping * np.diag(normal) + 1e-12
-        step = _within(normal + np.diag(scale), slope, *room)
-        there = _point(simulator, noise, target, _moved(simulator, here.state, step))
-        if there.objective < here.objective:
-            return _at(simulator, noise, there, here), max(damping / 10.0, 1e-9)
+        for room in rooms:
+            step = _within(normal + np.diag(scale), slope, *room)
+            there = _point(simulator, noise, target, _moved(simulator, here.state, step))
+            if there.objective < here.objective:
+                return _at(simulator, noise, there, here), max(damping / 10.0, 1e-9)
         if not patient:
             break
         damping *= 8.0
@@ -178,8 +185,8 @@ def _within(normal: Array, slope: Array, lower: Array, upper: Array) -> Array:
     return np.clip(step, lower, upper)
 
 
-def _room(simulator: Simulator, state: State) -> tuple[Array, Array]:
-    """How far every coordinate may move in one step, down and up."""
+def _room(simulator: Simulator, state: State, *, still: bool = False) -> tuple[Array, Array]:
+    """How far every coordinate may move in one step, down and up; shapes not at all where they are to be still."""
     count = len(simulator.channels)
     far = [np.full(state.own.size, _FURTHEST), np.full(state.shared.size, np.inf)]
     lower, upper = [-f for f in far], list(far)
@@ -188,7 +195,8 @@ def _room(simulator: Simulator, state: State) -> tuple[Array, Array]:
             if part:
                 shape, value = shape_of(term, part), term.setting[part]
                 ends = np.log(shape.lower / value), np.log(shape.upper / value)
-                ends = np.maximum(ends[0], -_FURTHEST_SHAPE), np.minimum(ends[1], _FURTHEST_SHAPE)
+                furthest = 0.0 if still else _FURTHEST_SHAPE
+                ends = np.maximum(ends[0], -furthest), np.minimum(ends[1], furthest)
             else:
                 low, high = term.hypothesis.limits
                 ends = low - term.amplitude, high - term.amplitude

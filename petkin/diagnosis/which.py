@@ -92,6 +92,8 @@ def singles(
             if not patient and by_name[name] < tried[-1].log_evidence < top - _APART:
                 break
         near = max(tried, key=lambda c: c.gain)
+        first = starts(scan, base.residual, each, name)
+        near = as_promised(simulator, data, noise, base, near, tuple(first), by_name[name])
         far = name in always or (name in flags and blatant)
         near = _from_afar(simulator, data, noise, base, near) if far else near
         found.append(_averaged(near, scan, each, by_name[name]))
@@ -143,6 +145,19 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
         term = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
     found = refitted(simulator, data, noise, base, replace(base.state, own=own, terms=(*base.state.terms, term)))
     return found if found.gain > near.gain else near
+
+
+def as_promised(
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, found: Candidate, terms: tuple[Term, ...], score: float
+) -> Candidate:
+    """A refit, or a better one that began at the simulator's usual values, with the terms as the scan has them, where it
+    holds far less than the score that the scan gave it: a strong gap drives the simulator's own fit far off, from where
+    the way may lead into a side valley."""
+    if found.log_evidence > score - _APART:
+        return found
+    start = State(simulator.starts[0], base.state.shared, (*base.state.terms, *terms))
+    other = refitted(simulator, data, noise, base, start)
+    return other if other.gain > found.gain else found
 
 
 def _averaged(candidate: Candidate, scan: Scan, each: Array, linear: float) -> Candidate:

@@ -160,6 +160,8 @@ def test_evidence_of_many_at_once_is_that_of_each() -> None:
     t = np.array([[-90.0, -12.0, -3.1], [0.0, 70.0, 95.0]])
     both = np.logaddexp(evidence.one_sided(t), evidence.one_sided(-t)) - np.log(2.0)
     np.testing.assert_allclose(evidence.two_sided(t), both, rtol=1e-12)
+    sides = np.logaddexp(evidence.one_sided(0.4 * t), evidence.one_sided(-t)) - np.log(2.0)
+    np.testing.assert_allclose(evidence.two_sided(t, 0.4 * t), sides, rtol=1e-12)
     assert evidence.one_sided(t)[1, 1] == pytest.approx(0.5 * 70.0**2 + evidence._OCCAM[-1])
 
 

@@ -11,7 +11,7 @@ from petkin.diagnosis import Coordinates, Term, diagnose, evidence
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import _beside
-from petkin.diagnosis.refit import State, begun
+from petkin.diagnosis.refit import State, begun, refit
 from petkin.diagnosis.scan import Scan, templates
 from petkin.diagnosis.which import Candidate, refitted
 
@@ -45,6 +45,30 @@ def test_a_fit_knows_its_pull_and_draws_keep_it() -> None:
     covariance = np.linalg.inv(np.eye(len(base.penalty)) + scaled.T @ scaled)
     np.testing.assert_allclose(draws.mean(axis=0), base.pulled, atol=0.03)
     np.testing.assert_allclose(np.cov(draws.T), covariance, atol=0.03)
+
+
+def test_each_side_of_a_range_has_a_prior_of_its_own_width() -> None:
+    """An amplitude of -0.3 lies three ranges below zero here, and half a range above."""
+    lopsided = replace(hypothesis("offset"), lower=-0.1, upper=0.6)
+    assert lopsided.widths == pytest.approx((0.15, 0.9))
+    assert replace(lopsided, lower=0.0).widths == pytest.approx((0.9, 0.9))
+    costs = []
+    for sign in (-1.0, 1.0):
+        data = measured(np.random.default_rng(3), replace(OFFSET, amplitude=sign * 0.3), sd=0.3)
+        base, noise, *_ = base_fit(SIMULATOR, data)
+        fits = []
+        for given in (lopsided, replace(lopsided, lower=-0.6)):
+            start = State(base.state.own, base.state.shared, (Term(given, sign * 0.2, {}),))
+            fits.append(refit(SIMULATOR, data, noise, start))
+        costs.append(fits[0].objective - fits[1].objective)
+        scan = Scan(templates(SIMULATOR, noise, base, [lopsided]), Projection.of_fit(base), None)
+        wide = Scan(templates(SIMULATOR, noise, base, [replace(lopsided, lower=-0.6)]), Projection.of_fit(base), None)
+        costs.append(float(wide.each(base.residual)[0] - scan.each(base.residual)[0]))
+    below, scanned_below, above, scanned_above = costs
+    assert below > 0.5
+    assert scanned_below > 0.1
+    assert above == pytest.approx(0.0, abs=1e-3)
+    assert scanned_above == pytest.approx(0.0, abs=0.05)
 
 
 @dataclass(frozen=True)

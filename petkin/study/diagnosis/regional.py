@@ -292,9 +292,10 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
 
 
 def onsets(clock: FrameObservation, most: int) -> tuple[float, ...]:
-    """Starts and middles of frames after the bolus has passed, without the last, thinned to so many."""
+    """Two times within every frame after the bolus has passed, without the last's end, thinned to so many: none between
+    two frames, where a refit that began there would stand on a kink."""
     frames = clock.frames
-    times = np.sort(np.concatenate([frames.start[1:], frames.mid[1:-1]]))
+    times = np.sort(np.concatenate([frames.start + share * frames.duration for share in (0.25, 0.75)]))
     first, last = _onset_bounds(clock)
     times = times[(times > first) & (times < last)]
     return tuple(times[np.unique(np.linspace(0, times.size - 1, min(most, times.size)).round().astype(int))])

@@ -150,9 +150,11 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
 def as_promised(
     simulator: Simulator, data: Array, noise: Noise, base: Fit, found: Candidate, terms: tuple[Term, ...], score: float
 ) -> Candidate:
-    """A refit, or a better one that began at the simulator's usual values, with the terms as the scan has them, where it
-    holds far less than the score that the scan gave it: a strong gap drives the simulator's own fit far off, from where
-    the way may lead into a side valley."""
+    """A refit, or a better one that began at the simulator's usual values with the terms as the scan has them.
+
+    That is tried where the refit holds far less than the score that the scan gave it: a strong gap drives the
+    simulator's own fit far off, from where the way may lead into a side valley.
+    """
     if found.log_evidence > score - _APART:
         return found
     start = State(simulator.starts[0], base.state.shared, (*base.state.terms, *terms))

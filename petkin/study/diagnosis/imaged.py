@@ -13,6 +13,9 @@ from petkin.study.sources import Source
 
 #: From this log evidence on the image, not the regions, says how large an effect is and when it set in.
 _SURE = 3.0
+#: What the smaller of two p-values, of regions and of contrasts, is multiplied by: each finds twice as often as it says
+#: near the claim. Of 200 training scans of noise alone 0.08 lay below 0.03 with 2, and 0.04 with 4.
+_TESTS = 4.0
 #: Effects whose size an image gives in mm.
 _IN_MM = ("partial_volume", "motion_step", "motion_drift")
 
@@ -71,7 +74,7 @@ def weighed(found: Diagnosis, looked: Looked) -> Diagnosis:
         found: of the regions, whose hypotheses carried the image's evidence.
         looked: what contrasts say.
     """
-    p = min(1.0, 2.0 * min(found.p_value, looked.contrasted.p_value))
+    p = min(1.0, _TESTS * min(found.p_value, looked.contrasted.p_value))
     present = p <= CLAIM
     likely = tuple(_sized(cause, looked) for cause in found.likely)
     chosen: tuple[str, ...] = ()

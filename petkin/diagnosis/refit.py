@@ -151,20 +151,20 @@ def _lower(
 ) -> tuple[Fit | None, float]:
     """A lower point by a damped step, with the simulator's own derivatives as they are here, and the next damping.
 
-    Where a step does not lead down, one with the shapes as they are may: an onset between two samples is a kink, at
-    which a slope to one side says nothing of the other and would hold up all else.
+    Where a step does not lead down, one with the shapes as they are may, by more than would end the refit: an onset
+    between two samples is a kink, at which a slope to one side says nothing of the other and would hold up all else.
     """
     normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
     slope = here.jacobian.T @ here.residual + np.sqrt(here.penalty) * here.pulled
-    rooms = [_room(simulator, here.state)]
+    rooms = [(_room(simulator, here.state), 0.0)]
     if any(term.hypothesis.shapes for term in here.state.terms):
-        rooms.append(_room(simulator, here.state, still=True))
+        rooms.append((_room(simulator, here.state, still=True), _SETTLED))
     while damping < _STUCK:
         scale = damping * np.diag(normal) + 1e-12
-        for room in rooms:
+        for room, least in rooms:
             step = _within(normal + np.diag(scale), slope, *room)
             there = _point(simulator, noise, target, _moved(simulator, here.state, step))
-            if there.objective < here.objective:
+            if there.objective < here.objective - least:
                 return _at(simulator, noise, there, here), max(damping / 10.0, 1e-9)
         if not patient:
             break

@@ -63,6 +63,7 @@ CHANGES = {
     "scale": lambda y, t, a, s: y * (1.0 + a),
     "step": lambda y, t, a, s: y * (1.0 + a * (t >= s["onset"])),
     "local step": lambda y, t, a, s: y + a[..., None] * (t >= s["onset"]),
+    "averaged step": lambda y, t, a, s: y * (1.0 + a * np.clip((t - s["onset"]) / (t[1] - t[0]) + 0.5, 0.0, 1.0)),
     "ripple": lambda y, t, a, s: y + a * np.sin(s["pitch"] * t),
     "clipped": lambda y, t, a, s: np.minimum(y, 3.0),
 }
@@ -84,6 +85,8 @@ HYPOTHESES = (
     ),
     Hypothesis("clipped", "sensor", "flag", "flag", 0.0, 1.0, flag=True),
 )
+#: Sets in at any time: a sample during which it does has it in part, so that there is a kink between two samples.
+AVERAGED = Hypothesis("averaged step", "sensor", "gain", "1", -0.5, 0.5, shapes=(Shape("onset", 0.5, 9.5, sd=np.inf),))
 TRUTH = np.log([[5.0, 0.2], [3.5, 0.4], [6.0, 0.3], [2.5, 0.15]])
 
 

@@ -12,9 +12,9 @@ from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import State, _within, refit
 from petkin.diagnosis.scan import Scan, starts
-from petkin.diagnosis.which import after_refit, halfway
+from petkin.diagnosis.which import after_refit, as_promised, halfway, refitted
 
-from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
+from .decaying_channels import AVERAGED, HYPOTHESES, TRUTH, DecayingChannels, hypothesis, measured
 
 
 def test_a_refit_begins_at_settings_that_look_otherwise() -> None:
@@ -85,3 +85,37 @@ def test_a_step_that_meets_a_limit_goes_on_along_it() -> None:
         assert fall(step) > 0
         better += fall(step) > fall(cut) + 1e-6
     assert better > 20
+
+
+def _sets_in(seed: int, onset: float, amplitude: float) -> tuple[DecayingChannels, np.ndarray, Term]:
+    """Data in which all channels change at once, strongly, within a sample."""
+    simulator, truth = DecayingChannels(count=20), Term(AVERAGED, amplitude, {"onset": onset})
+    values = simulator.predict(TRUTH, np.zeros(0), (truth,))
+    return simulator, values + 0.05 * np.random.default_rng(seed).standard_normal(values.shape), truth
+
+
+@pytest.mark.parametrize(
+    ("seed", "onset", "amplitude", "begin"), [(0, 6.99, 0.4, 6.52), (0, 6.99, 0.4, 6.78), (3, 6.69, -0.4, 6.52)]
+)
+def test_a_weak_step_grows_into_a_strong_one(seed: int, onset: float, amplitude: float, begin: float) -> None:
+    """The objective has a kink between two samples, at which a refit must not end for want of a slope."""
+    simulator, data, truth = _sets_in(seed, onset, amplitude)
+    base, noise, _, _ = base_fit(simulator, data)
+    best = refit(simulator, data, noise, State(TRUTH, base.state.shared, (truth,)))
+    weak = Term(AVERAGED, 0.1 * amplitude, {"onset": begin})
+    found = refit(simulator, data, noise, State(base.state.own, base.state.shared, (weak,)))
+    assert base.objective > best.objective + 100.0
+    assert found.objective < best.objective + 5.0
+
+
+def test_a_refit_that_holds_less_than_was_promised_begins_anew() -> None:
+    simulator, data, truth = _sets_in(3, 2.51, -0.4)
+    base, noise, _, _ = base_fit(simulator, data)
+    best = refitted(simulator, data, noise, base, State(TRUTH, base.state.shared, (truth,)))
+    stray = State(base.state.own, base.state.shared, (replace(truth, setting={"onset": 8.0}),))
+    astray = refitted(simulator, data, noise, base, stray)
+    assert astray.gain < best.gain - 200.0
+    terms = (replace(truth, setting={"onset": 2.4}),)
+    assert as_promised(simulator, data, noise, base, astray, terms, astray.log_evidence) is astray
+    renewed = as_promised(simulator, data, noise, base, astray, terms, best.log_evidence)
+    assert renewed.gain > best.gain - 10.0

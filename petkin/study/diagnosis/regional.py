@@ -38,8 +38,9 @@ _LADDER = np.concatenate([[0.0], np.geomspace(1e-3, 6.0, 27)])
 _OWN = {"blood_volume": "vB", "vascular_trapping": "Kb"}
 #: Relative error of predictions: of the table of responses, and of blood read as straight lines between samples.
 _ACCURACY = 5e-4
-#: Onsets tried: so many for the scanner, so many for the tissue.
-_SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
+#: Onsets tried: so many for the scanner, so many for the tissue; at which shares of a frame, none of them between two
+#: frames, where a refit that began there would stand on a kink.
+_SCANNER_ONSETS, _TISSUE_ONSETS, _WITHIN = 40, 14, (0.25, 0.75)
 #: Onsets before this (min) would be told from blood and its delay by their timing alone.
 _BOLUS_PASSED = 5.0
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
@@ -291,11 +292,10 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
     return tuple(found)
 
 
-def onsets(clock: FrameObservation, most: int) -> tuple[float, ...]:
-    """Two times within every frame after the bolus has passed, without the last's end, thinned to so many: none between
-    two frames, where a refit that began there would stand on a kink."""
+def onsets(clock: FrameObservation, most: int, within: tuple[float, ...] = _WITHIN) -> tuple[float, ...]:
+    """Times at so many shares of every frame after the bolus has passed, before the middle of the last, thinned."""
     frames = clock.frames
-    times = np.sort(np.concatenate([frames.start + share * frames.duration for share in (0.25, 0.75)]))
+    times = np.sort(np.concatenate([frames.start + share * frames.duration for share in within]))
     first, last = _onset_bounds(clock)
     times = times[(times > first) & (times < last)]
     return tuple(times[np.unique(np.linspace(0, times.size - 1, min(most, times.size)).round().astype(int))])

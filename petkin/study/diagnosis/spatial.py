@@ -40,7 +40,8 @@ _MOTIONS = ("motion_step", "motion_drift")
 _SHARPENED = 4
 #: When a drift begins and ends, as shares of the scan.
 _DRIFTS = ((0.0, 1.0), (0.0, 1 / 3), (0.0, 2 / 3), (1 / 3, 2 / 3), (1 / 3, 1.0), (2 / 3, 1.0))
-_ONSETS, _DRAWS = 40, 400
+#: Onsets at most, and the shares of a frame at which they are tried: no refit moves them; draws of noise.
+_ONSETS, _WITHIN, _DRAWS = 40, (0.0, 0.5), 400
 #: How often contrasts show nothing of an effect that is there: a head turns, a gain is in one region alone.
 _UNSEEN = {"partial_volume": 0.05, "motion_step": 0.2, "motion_drift": 0.2, "attenuation_mismatch": 0.5}
 
@@ -246,5 +247,5 @@ def _courses(
         for begins, ends in _DRIFTS:
             yield {}, np.clip((passed - begins) / (ends - begins), 0.0, 1.0)
         return
-    for onset in onsets(simulator.clock, _ONSETS):
+    for onset in onsets(simulator.clock, _ONSETS, _WITHIN):
         yield {"onset": onset}, after(simulator.clock, onset)

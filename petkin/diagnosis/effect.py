@@ -26,6 +26,7 @@ class Shape:
         lower, upper: where it may lie, > 0.
         by_channel: whether it differs between channels.
         sd: of the prior of its logarithm, about the middle of the bounds; infinite for none.
+        kinked: whether values bend where it passes from one sample to the next, as by an onset.
     """
 
     symbol: str
@@ -33,6 +34,7 @@ class Shape:
     upper: float
     by_channel: bool = False
     sd: float = 0.8
+    kinked: bool = False
 
 
 @dataclass(frozen=True)

@@ -151,13 +151,13 @@ def _lower(
 ) -> tuple[Fit | None, float]:
     """A lower point by a damped step, with the simulator's own derivatives as they are here, and the next damping.
 
-    Where a step does not lead down, one with the shapes as they are may, by more than would end the refit: an onset
-    between two samples is a kink, at which a slope to one side says nothing of the other and would hold up all else.
+    Where a step does not lead down, one with kinked shapes as they are may, by more than would end the refit: the slope
+    to one side of a kink says nothing of the other side, and would hold up all else.
     """
     normal = here.jacobian.T @ here.jacobian + np.diag(here.penalty)
     slope = here.jacobian.T @ here.residual + np.sqrt(here.penalty) * here.pulled
     rooms = [(_room(simulator, here.state), 0.0)]
-    if any(term.hypothesis.shapes for term in here.state.terms):
+    if any(shape.kinked for term in here.state.terms for shape in term.hypothesis.shapes):
         rooms.append((_room(simulator, here.state, still=True), _SETTLED))
     while damping < _STUCK:
         scale = damping * np.diag(normal) + 1e-12
@@ -186,7 +186,7 @@ def _within(normal: Array, slope: Array, lower: Array, upper: Array) -> Array:
 
 
 def _room(simulator: Simulator, state: State, *, still: bool = False) -> tuple[Array, Array]:
-    """How far every coordinate may move in one step, down and up; shapes not at all where they are to be still."""
+    """How far every coordinate may move in one step, down and up; kinked shapes not at all if they are to be still."""
     count = len(simulator.channels)
     far = [np.full(state.own.size, _FURTHEST), np.full(state.shared.size, np.inf)]
     lower, upper = [-f for f in far], list(far)
@@ -195,7 +195,7 @@ def _room(simulator: Simulator, state: State, *, still: bool = False) -> tuple[A
             if part:
                 shape, value = shape_of(term, part), term.setting[part]
                 ends = np.log(shape.lower / value), np.log(shape.upper / value)
-                furthest = 0.0 if still else _FURTHEST_SHAPE
+                furthest = 0.0 if still and shape.kinked else _FURTHEST_SHAPE
                 ends = np.maximum(ends[0], -furthest), np.minimum(ends[1], furthest)
             else:
                 low, high = term.hypothesis.limits

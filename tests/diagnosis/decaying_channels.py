@@ -86,7 +86,8 @@ HYPOTHESES = (
     Hypothesis("clipped", "sensor", "flag", "flag", 0.0, 1.0, flag=True),
 )
 #: Sets in at any time: a sample during which it does has it in part, so that there is a kink between two samples.
-AVERAGED = Hypothesis("averaged step", "sensor", "gain", "1", -0.5, 0.5, shapes=(Shape("onset", 0.5, 9.5, sd=np.inf),))
+_KINKED = Shape("onset", 0.5, 9.5, sd=np.inf, kinked=True)
+AVERAGED = Hypothesis("averaged step", "sensor", "gain", "1", -0.5, 0.5, shapes=(_KINKED,))
 TRUTH = np.log([[5.0, 0.2], [3.5, 0.4], [6.0, 0.3], [2.5, 0.15]])
 
 

@@ -261,7 +261,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         if p.symbol in effect.grid
     ]
     if "onset" in effect.parameters.symbols:
-        shapes.append(Shape("onset", first, last, sd=np.inf))
+        shapes.append(Shape("onset", first, last, sd=np.inf, kinked=True))
     return Hypothesis(
         name=effect.name,
         stage=effect.stage,

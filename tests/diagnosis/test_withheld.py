@@ -107,6 +107,19 @@ def test_the_simulator_reproduces_an_independent_one() -> None:
         assert detectability(simulator_of(truth), scan.curves(truth), 0.0) < 0.7
 
 
+def test_refits_begin_within_frames() -> None:
+    """Between two frames a refit of an onset would stand on a kink."""
+    simulator = simulator_of(scan.draw(np.random.default_rng(0)))
+    frames = simulator.clock.frames
+    found = hypotheses(EFFECTS, simulator, without=frozenset())
+    settings = np.array([each["onset"] for h in found for each in h.settings if "onset" in each])
+    assert {h.name for h in found if any(shape.kinked for shape in h.shapes)} >= {"gain_step", "attenuation_mismatch"}
+    own = np.searchsorted(frames.start, settings, side="right") - 1
+    passed = (settings - frames.start[own]) / frames.duration[own]
+    assert len(settings) > 20
+    assert 0.2 < passed.min() < passed.max() < 0.8
+
+
 def test_noise_is_not_called_a_gap() -> None:
     """Two scans of each kind of noise; of 8 at 5 percent, 2 or more happen once in 17 times."""
     assert sum(case(seed, noise=noise).answer.present for noise in range(4) for seed in range(2)) <= 1

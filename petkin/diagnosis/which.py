@@ -85,15 +85,16 @@ def singles(
             continue
         tried: list[Candidate] = []
         patient = glaring or name in flags
-        for term in starts(scan, base.residual, each, name, _STARTS):
+        terms = starts(scan, base.residual, each, name, _STARTS)
+        for term in terms:
             start = begun(simulator, data, noise, base, (term,))
             tried.append(refitted(simulator, data, noise, base, start, -np.inf if patient else ahead))
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
             if not patient and by_name[name] < tried[-1].log_evidence < top - _APART:
                 break
         near = max(tried, key=lambda c: c.gain)
-        first = starts(scan, base.residual, each, name)
-        near = as_promised(simulator, data, noise, base, near, tuple(first), by_name[name])
+        promised = by_name[name] + foreknown(terms[:1])
+        near = as_promised(simulator, data, noise, base, near, (terms[0],), promised)
         far = name in always or (name in flags and blatant)
         near = _from_afar(simulator, data, noise, base, near) if far else near
         found.append(_averaged(near, scan, each, by_name[name]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin_bench.withheld.beyond import beyond
 from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, UNKNOWN, Cause, draw
 from petkin_bench.withheld.classes import ceiling_of, class_of, columns_of
 from petkin_bench.withheld.making import Made, Scene, drawn_target, scaled, withheld_part
@@ -62,8 +63,8 @@ class Answer:
         classes: of every name, itself and what looks the same after the refit.
         stages: of every name.
         detectability: d' of all together.
-        perpendicular: of what neither one nor two catalogued effects outside its classes explain; of a pair, the lesser
-            beside the other.
+        perpendicular: of what neither one nor two catalogued effects outside its classes explain, as weak ones; of an
+            unknown cause, what they leave when everything of them is refitted; of a pair, the lesser beside the other.
         ceiling: probability that a matched filter names the class.
         frame: of the onset, or the one that is concerned; -1 for none.
         region: the one in which it acts; -1 for all.
@@ -115,12 +116,15 @@ def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, S
         made = _single(scene, causes, of_unknown=kind == "unknown")
     scene = replace(scene, subject=made.subject, simulator=made.simulator, percent=made.percent)
     cause = made.cause
-    columns = columns_of(scene, made, finely=kind == "unknown")
-    names = (cause.name,) if cause.name else ()
-    same = class_of(cause.name, made.seen.left, columns) if names else ()
-    finely = columns_of(scene, made, finely=True) if names else columns
-    beyond = perpendicular(made.seen.left, [c for name, c in finely if name not in same])
-    ceiling = ceiling_of(made, columns, same, scene.rng) if names else 0.0
+    names, same, ceiling = (), (), 0.0
+    if cause.name:
+        columns = columns_of(scene, made)
+        names, same = (cause.name,), class_of(cause.name, made.seen.left, columns)
+        finely = columns_of(scene, made, finely=True)
+        left = perpendicular(made.seen.left, [c for name, c in finely if name not in same])
+        ceiling = ceiling_of(made, columns, same, scene.rng)
+    else:
+        left = beyond(made, scene.law(made.values))
     frame = made.drawn.frame if cause.framed else _frame_of(made) if cause.onset else -1
     region = made.drawn.region if cause.local else -1
     answer = Answer(
@@ -131,7 +135,7 @@ def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, S
         classes=(same,) if names else (),
         stages=(cause.stage,),
         detectability=made.seen.detectability,
-        perpendicular=beyond,
+        perpendicular=left,
         ceiling=ceiling,
         frame=frame,
         region=region,
@@ -149,7 +153,7 @@ def _quieter(scene: Scene, attempt: int) -> Scene:
 
 
 def _single(scene: Scene, causes: tuple[Cause, ...], *, of_unknown: bool = False) -> Made:
-    """A cause that reaches its strength within what is plausible; of an unknown one, beyond all known ones."""
+    """A cause that reaches its strength within what is plausible; of an unknown one, beyond all weak known ones."""
     for attempt in range(_TRIES):
         scene = _quieter(scene, attempt)
         cause = causes[int(scene.rng.integers(len(causes)))]
@@ -159,8 +163,8 @@ def _single(scene: Scene, causes: tuple[Cause, ...], *, of_unknown: bool = False
             if made is not None:
                 return made
             continue
-        beyond = perpendicular(made.seen.left, [c for _, c in columns_of(scene, made, finely=True)])
-        stronger = scaled(scene, cause, made.drawn, target * made.seen.detectability / max(beyond, 1e-9))
+        left = perpendicular(made.seen.left, [c for _, c in columns_of(scene, made, finely=True)])
+        stronger = scaled(scene, cause, made.drawn, target * made.seen.detectability / max(left, 1e-9))
         if stronger is not None:
             return stronger
     raise RuntimeError(f"No cause reached its strength in {_TRIES} draws.")

@@ -19,7 +19,10 @@ Build = Callable[[float, "Draw"], Change]
 
 @dataclass(frozen=True)
 class Draw:
-    """What a cause draws besides its size: onset and length (min), a region, a frame, a sign, a weight a region."""
+    """What a cause draws besides its size: onset and length (min), a region, a frame, a sign, a weight a region.
+
+    `sizes`, where given, are those of all regions of a local cause, in place of 1 in its region.
+    """
 
     onset: float
     region: int
@@ -27,10 +30,13 @@ class Draw:
     sign: float
     length: float
     weights: Array
+    sizes: Array | None = None
 
     @property
     def chosen(self) -> Array:
         """1 in the region, 0 elsewhere (R, 1)."""
+        if self.sizes is not None:
+            return self.sizes[:, None]
         return (np.arange(self.weights.size) == self.region).astype(float)[:, None]
 
 

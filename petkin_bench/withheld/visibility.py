@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,23 @@ class Simulator:
         return law.whiten(here), law.whiten(columns).T
 
 
+class Guess(Protocol):
+    """A cause that is refitted beside the simulator."""
+
+    @property
+    def coordinates(self) -> int: ...
+
+    def change(self) -> Change: ...
+
+    def slopes(self, subject: Subject, before: tuple[Change, ...], after: tuple[Change, ...], here: Array) -> Array:
+        """Derivatives of the values (n, R, K) by every coordinate, between other changes."""
+        ...
+
+    def moved(self, step: Array) -> Guess:
+        """Somewhat else (n,), within its limits."""
+        ...
+
+
 @dataclass(frozen=True)
 class Seen:
     """Values (R, K) as the simulator is refitted to them.
@@ -85,11 +103,15 @@ class Seen:
         left: whitened, what the refit leaves (n,).
         axes: orthonormal columns of what it can do (n, p).
         fitted: the simulator's subject.
+        chi2: of the refit, before the last linear step.
+        guesses: what was refitted beside it.
     """
 
     left: Array
     axes: Array
     fitted: Subject
+    chi2: float = 0.0
+    guesses: tuple[Guess, ...] = ()
 
     @property
     def detectability(self) -> float:
@@ -100,22 +122,23 @@ class Seen:
         return columns - self.axes @ (self.axes.T @ columns)
 
 
-def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw) -> Seen:
-    """The refit, from the subject's own kinetics, by damped Gauss-Newton steps."""
+def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw, guesses: tuple[Guess, ...] = ()) -> Seen:
+    """The refit, from the subject's own kinetics, by damped Gauss-Newton steps; of guessed causes too."""
     target, here = law.whiten(values), simulator.start(subject)
-    damping, fitted, jacobian = 1e-4, *simulator.jacobian(here, law)
+    damping, fitted, jacobian = 1e-4, *_jacobian(simulator, here, law, guesses)
+    own = jacobian.shape[1] - sum(g.coordinates for g in guesses)
     for _ in range(_STEPS):
         residual = target - fitted
         normal = jacobian.T @ jacobian
         scale = damping * np.diag(normal) + _RIDGE
         step = np.asarray(np.linalg.solve(normal + np.diag(scale), jacobian.T @ residual), np.float64)
-        moved = simulator.moved(here, step)
-        after = target - law.whiten(observe(moved))
+        moved, other = simulator.moved(here, step[:own]), _moved(guesses, step[own:])
+        after = target - law.whiten(observe(moved, tuple(g.change() for g in other)))
         with np.errstate(over="ignore"):  # rates may go where curves explode, and come back
             gained = float(residual @ residual - after @ after)
         if gained > 0:
-            here, damping = moved, damping / 10
-            fitted, jacobian = simulator.jacobian(here, law)
+            here, guesses, damping = moved, other, damping / 10
+            fitted, jacobian = _jacobian(simulator, here, law, guesses)
             if gained < 1e-3:
                 break
         else:
@@ -123,7 +146,26 @@ def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw) -
     left, felt, _ = np.linalg.svd(jacobian, full_matrices=False)
     axes = left[:, felt > _FELT]
     residual = target - fitted
-    return Seen(residual - axes @ (axes.T @ residual), axes, here)
+    return Seen(residual - axes @ (axes.T @ residual), axes, here, float(residual @ residual), guesses)
+
+
+def _jacobian(simulator: Simulator, here: Subject, law: NoiseLaw, guesses: tuple[Guess, ...]) -> tuple[Array, Array]:
+    """Whitened values, and their derivatives by every coordinate of the simulator and of the guesses."""
+    changes = tuple(g.change() for g in guesses)
+    fitted, own = simulator.jacobian(here, law, changes)
+    if not any(g.coordinates for g in guesses):
+        return fitted, own
+    values = observe(here, changes)
+    slopes = [g.slopes(here, changes[:i], changes[i + 1 :], values) for i, g in enumerate(guesses)]
+    return fitted, np.concatenate([own, law.whiten(np.concatenate(slopes)).T], axis=1)
+
+
+def _moved(guesses: tuple[Guess, ...], step: Array) -> tuple[Guess, ...]:
+    found, place = [], 0
+    for guess in guesses:
+        found.append(guess.moved(step[place : place + guess.coordinates]))
+        place += guess.coordinates
+    return tuple(found)
 
 
 def cosines(columns: Array) -> Array:

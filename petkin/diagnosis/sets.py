@@ -14,9 +14,9 @@ Array = NDArray[np.float64]
 #: Mass that a set must hold, and the cosine above which two explanations are one.
 _MASS, ALIKE = 0.9, 0.95
 #: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
-#: often no explanation that was looked at is right, however likely it seems. The second was chosen by how many unnamed
-#: and named training causes are then called unknown.
-_STEEPNESS, _EVEN = 0.5, -3.0
+#: often no explanation that was looked at is right, however likely it seems. The first two were chosen by how many
+#: unnamed and named training causes are then called unknown, and by how often sets hold what they say.
+_STEEPNESS, _EVEN = 0.7, -2.5
 LAPSE = 0.05
 
 

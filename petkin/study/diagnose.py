@@ -158,12 +158,17 @@ def _diagnosed(
         names = frozenset(h.name for h in candidates)
         imaged = look_at_image(picture, simulator, fit, names, seed=request.seed)
     seen = imaged.log_odds if imaged is not None else {}
-    odds = seen | {b.effect: b.odds + seen.get(b.effect, 0.0) for b in shown}
+    told = {b.effect: b.odds for b in shown}
     found = diagnose(
         simulator,
         curves.values,
         tuple(
-            replace(h, log_odds=odds.get(h.name, 0.0), witness="image" if h.name in seen else "") for h in candidates
+            replace(
+                h,
+                log_odds=seen.get(h.name, 0.0) + told.get(h.name, h.log_odds),
+                witness="image" if h.name in seen else "",
+            )
+            for h in candidates
         ),
         always=ALWAYS,
         elsewhere=None if imaged is None else imaged.elsewhere,

@@ -41,6 +41,9 @@ _ACCURACY = 5e-4
 #: Onsets tried: so many for the scanner, so many for the tissue; at which shares of a frame, none of them between two
 #: frames, where a refit that began there would stand on a kink.
 _SCANNER_ONSETS, _TISSUE_ONSETS, _WITHIN = 40, 14, (0.25, 0.75)
+#: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
+#: one effect. Set on training scans, of which it makes the truth likelier whatever the truth is.
+_BLUNDER = -3.0
 #: Onsets before this (min) would be told from blood and its delay by their timing alone.
 _BOLUS_PASSED = 5.0
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
@@ -276,6 +279,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         flag=effect.flag,
         split_by=effect.split_by,
         trust=effect.trust if effect.name in simulator.measured else 1.0,
+        log_odds=_BLUNDER if effect.flag else 0.0,
     )
 
 

@@ -3,8 +3,9 @@
     delta_c(t) = f_c(t) sum_j w_j phi_j(x) (a_j + b_cj),   x = log(t + 1) or t, rescaled to 0..1,  phi_j = cos(pi j x)
 
 a Gaussian process with a cosine basis, common to all channels, in each for itself, both, or in one of them; or in what
-drives them all, u(t) (1 + sum_j w_j phi_j(x) a_j), as far as they show it. Only what the projection leaves of it
-counts, so that it can never take what the simulator's own parameters, or a named effect's, explain.
+drives them all, u(t) (1 + sum_j w_j phi_j(x) a_j), as far as they show it. It may also swing: then only three cosines
+that follow on each other are there, in all channels alike or in each. Only what the projection leaves of it counts, so
+that it can never take what the simulator's own parameters, or a named effect's, explain.
 
 Reference: Plumlee M. Bayesian calibration of inexact computer models. J Am Stat Assoc 2017;112:1274-1285.
 doi:10.1080/01621459.2016.1211016
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 
 #: Where a discrepancy is: in all channels alike, in each for itself, both, in one alone; or in what drives them all.
 ALL, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
+#: The same of what swings: three cosines that follow on each other, anywhere among them.
+_SWINGS, _BAND = {ALL: "swings alike", EACH: "swings each"}, 3
 #: Or in what channels are means of, where somebody looked beside them.
 WITHIN = "within"
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
@@ -119,9 +122,13 @@ def _groups(channels: int) -> dict[str, NDArray[np.intp]]:
     """Columns of a discrepancy in all channels alike, in each for itself, both, and in one channel alone."""
     every = np.arange(_COUNT * (1 + channels))
     common, alone = every[None, :_COUNT], every[None, _COUNT:]
+    bands = np.arange(_COUNT - _BAND + 1)[:, None] + np.arange(_BAND)
+    found = {ALL: common, _SWINGS[ALL]: bands}
     if channels == 1:
-        return {ALL: common}
-    return {ALL: common, EACH: alone, BOTH: every[None], ONE: alone.reshape(_COUNT, channels).T}
+        return found
+    each = alone.reshape(_COUNT, channels)
+    swinging = {_SWINGS[EACH]: each[bands].reshape(len(bands), -1)}
+    return found | {EACH: alone, BOTH: every[None], ONE: each.T} | swinging
 
 
 def courses(times: Array) -> tuple[Array, ...]:

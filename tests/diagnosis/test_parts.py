@@ -19,6 +19,7 @@ from petkin.diagnosis.noise import common_share, from_flexible, levels, outlying
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.sets import probabilities, smallest_set
+from petkin.diagnosis.unknown import Smooth
 from petkin.diagnosis.where import benjamini_hochberg
 
 from .decaying_channels import DecayingChannels
@@ -268,3 +269,26 @@ def test_no_more_than_a_share_is_taken_for_a_factor_in_common() -> None:
     load = np.array([1.2, 0.9, 0.8])
     gain = load[:, None] * np.sin(np.arange(400.0)) * np.sqrt(2.0)
     assert float(common_share(gain + 0.1 * np.random.default_rng(0).standard_normal(gain.shape), load)) == 0.6
+
+
+@pytest.mark.parametrize(
+    ("rhythms", "phases", "place"),
+    [
+        ((7,), (0.0, 0.0, 0.0, 0.0), "swings alike"),
+        ((7,), (0.3, 1.4, 2.9, 4.4), "swings each"),
+        ((2, 3, 5, 7, 9, 11), (0.3, 1.4, 2.9, 4.4), "each"),
+        ((2, 3, 5, 7, 9, 11), (0.0, 0.0, 0.0, 0.0), "alike"),
+    ],
+)
+def test_what_swings_is_told_from_what_has_many_rhythms(
+    rhythms: tuple[int, ...], phases: tuple[float, ...], place: str
+) -> None:
+    """Rhythms in half periods a scan, each channel with its phase, against what swings and what does not."""
+    times = np.linspace(2.5, 87.5, 18)
+    values = np.full((4, 18), 10.0)
+    noise = Noise(np.ones_like(values), np.full(4, 0.1), 0.0)
+    smooth = Smooth.around(values, times, noise, Projection.of(np.zeros((values.size, 1)), np.ones(1)))
+    turns = np.pi * times / 90.0 + np.array(phases)[:, None]
+    wave = np.sum([np.sin(rhythm * turns) for rhythm in rhythms], axis=0)
+    wave *= 12.0 * 0.1 / np.linalg.norm(wave)
+    assert smooth.likeliest(noise.whiten(wave)) == place

@@ -120,6 +120,15 @@ def test_refits_begin_within_frames() -> None:
     assert 0.2 < passed.min() < passed.max() < 0.8
 
 
+def test_a_blunder_is_rarer_than_an_effect() -> None:
+    """What is there or not has no size to be averaged over, so that it would win every tie."""
+    found = hypotheses(EFFECTS, simulator_of(scan.draw(np.random.default_rng(0))), without=frozenset())
+    flags = {h.name for h in found if h.flag}
+    assert flags >= {"mean_life_swap", "decay_applied_twice", "decay_not_applied"}
+    assert {h.name for h in found if h.log_odds < 0} == flags
+    assert all(h.log_odds == 0 for h in found if not h.flag)
+
+
 def test_noise_is_not_called_a_gap() -> None:
     """Two scans of each kind of noise; of 8 at 5 percent, 2 or more happen once in 17 times."""
     assert sum(case(seed, noise=noise).answer.present for noise in range(4) for seed in range(2)) <= 1

@@ -86,11 +86,16 @@ class Spread:
         scores = score.reshape(-1, *size.shape)
         return _together(*map(np.ascontiguousarray, (scores, size, axes))).reshape(score.shape[:-1])
 
-    def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool) -> Array:
-        """The same of amplitudes that differ between channels: all of them, or one alone; one for all where alike."""
-        lone = mean(two_sided(score / np.sqrt(self.diagonal)))
-        one = two_sided(score.sum(axis=-1) / np.sqrt(self.total))
+    def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool, signed: NDArray[np.bool_] | bool) -> Array:
+        """The same of amplitudes that differ between channels: all of them, or one alone; one for all where alike. One
+        amplitude is positive or absent unless it is signed."""
+        lone = mean(_of_sign(score / np.sqrt(self.diagonal), np.expand_dims(signed, -1)))
+        one = _of_sign(score.sum(axis=-1) / np.sqrt(self.total), signed)
         return np.logaddexp(self.together(score), np.where(alike, one, lone)) - np.log(2.0)
+
+
+def _of_sign(t: Array, signed: NDArray[np.bool_] | bool) -> Array:
+    return np.where(signed, two_sided(t), one_sided(t))
 
 
 @njit(cache=True, error_model="numpy")

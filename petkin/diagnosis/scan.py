@@ -100,8 +100,9 @@ class Scan:
         found = np.empty((*residuals.shape[:-1], len(self.templates)))
         if self._by_channel:
             mine = np.stack([scores[..., self._places[i]] for i in self._by_channel], axis=-2)
-            alike = np.array([self.templates[i].hypothesis.alike for i in self._by_channel])
-            found[..., self._by_channel] = self._spread.by_channel(mine, alike)
+            which = [self.templates[i].hypothesis for i in self._by_channel]
+            alike, signed = np.array([h.alike for h in which]), np.array([h.signed for h in which])
+            found[..., self._by_channel] = self._spread.by_channel(mine, alike, signed)
         for kind, templates in self._alone.items():
             found[..., templates.which] = kind(scores[..., templates.columns], templates.information)
         return found

@@ -93,8 +93,8 @@ def test_a_prior_that_is_off_is_no_gap() -> None:
 def test_amplitudes_that_are_alike_have_more_evidence_where_they_should_be() -> None:
     spread = evidence.Spread.of(np.eye(6))
     same, lone = np.full(6, 4.0), np.array([9.8, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert float(spread.by_channel(same, True)) > float(spread.by_channel(same, False)) + 3.0
-    assert float(spread.by_channel(lone, True)) < float(spread.by_channel(lone, False)) - 3.0
+    assert float(spread.by_channel(same, True, True)) > float(spread.by_channel(same, False, True)) + 3.0
+    assert float(spread.by_channel(lone, True, True)) < float(spread.by_channel(lone, False, True)) - 3.0
 
 
 def test_a_cause_far_behind_is_asked_for_what_it_lacks() -> None:
@@ -134,3 +134,15 @@ def test_what_is_there_makes_room_for_a_strong_effect() -> None:
         return float(np.square(noise.whiten(data - SIMULATOR.predict(state.own, state.shared, state.terms))).sum())
 
     assert off(start) < 0.5 * off(replace(base.state, terms=(strong,)))
+
+
+def test_one_amplitude_that_is_positive_has_no_other_sign_to_average_over() -> None:
+    """Twice as likely as one of either sign where it is positive, and far less where it is not."""
+    spread = evidence.Spread.of(np.eye(6))
+    lone = np.array([9.8, 0.0, 0.0, 0.0, 0.0, 0.0])
+    for alike, score in ((False, lone), (True, np.full(6, 4.0))):
+        either, positive, absent = (
+            float(spread.by_channel(sign * score, alike, signed)) for sign, signed in ((1, True), (1, False), (-1, False))
+        )
+        assert positive == pytest.approx(either + np.log(2.0), abs=0.05)
+        assert absent < either - 1.0

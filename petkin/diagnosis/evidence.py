@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 Array = NDArray[np.float64]
 
@@ -64,12 +65,14 @@ class Spread:
         size, axes: eigenvalues (..., n) and vectors (..., n, n) of G'PG.
         diagonal: of G'PG (..., n).
         total: sum of G'PG (...), of one amplitude for all.
+        standard: G'Pr (..., n) to amplitudes in units of their errors (..., n, n).
     """
 
     size: Array
     axes: Array
     diagonal: Array
     total: Array
+    standard: Array
 
     @classmethod
     def of(cls, information: Array) -> Spread:
@@ -77,7 +80,9 @@ class Spread:
         size, axes = np.linalg.eigh(information)
         size = np.maximum(size, 1e-12 * np.maximum(size.max(axis=-1, keepdims=True), 1e-300))
         total = np.maximum(information.sum(axis=(-2, -1)), 1e-300)
-        return cls(size, axes, np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300), total)
+        inverse = (axes / size[..., None, :]) @ axes.swapaxes(-1, -2)
+        standard = inverse / np.sqrt(np.diagonal(inverse, axis1=-2, axis2=-1))[..., None, :]
+        return cls(size, axes, np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300), total, standard)
 
     def together(self, score: Array) -> Array:
         """log B for G'Pr: (*batch, ..., n) to (*batch, ...)."""
@@ -91,7 +96,14 @@ class Spread:
         amplitude is positive or absent unless it is signed."""
         lone = mean(_of_sign(score / np.sqrt(self.diagonal), np.expand_dims(signed, -1)))
         one = _of_sign(score.sum(axis=-1) / np.sqrt(self.total), signed)
-        return np.logaddexp(self.together(score), np.where(alike, one, lone)) - np.log(2.0)
+        return np.logaddexp(self.together(score) + self._positive(score, signed), np.where(alike, one, lone)) - np.log(
+            2.0
+        )
+
+    def _positive(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+        """What it adds that amplitudes cannot be negative, each for itself: twice the chance that it is positive."""
+        z = (score[..., None, :] @ self.standard)[..., 0, :]
+        return np.where(signed, 0.0, (np.log(2.0) + log_ndtr(z)).sum(axis=-1))
 
 
 def _of_sign(t: Array, signed: NDArray[np.bool_] | bool) -> Array:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
 
 from petkin.diagnosis import Coordinates, Term, diagnose, evidence
 from petkin.diagnosis.nominal import base_fit
@@ -142,7 +144,22 @@ def test_one_amplitude_that_is_positive_has_no_other_sign_to_average_over() -> N
     lone = np.array([9.8, 0.0, 0.0, 0.0, 0.0, 0.0])
     for alike, score in ((False, lone), (True, np.full(6, 4.0))):
         either, positive, absent = (
-            float(spread.by_channel(sign * score, alike, signed)) for sign, signed in ((1, True), (1, False), (-1, False))
+            float(spread.by_channel(sign * score, alike, signed))
+            for sign, signed in ((1, True), (1, False), (-1, False))
         )
         assert positive == pytest.approx(either + np.log(2.0), abs=0.05)
         assert absent < either - 1.0
+
+
+@pytest.mark.parametrize("score", [(4.0, 3.0, 5.0), (4.0, 0.2, 3.0), (3.0, -1.0, 4.0)])
+def test_amplitudes_that_are_positive_are_averaged_over_what_is_positive(score: tuple[float, ...]) -> None:
+    """Against integrals over half-normal amplitudes of each width."""
+
+    def one(s: float, width: float) -> float:
+        return quad(lambda a: 2.0 * norm.pdf(a, 0.0, width) * np.exp(s * a - 0.5 * a * a), 0.0, 12.0)[0]
+
+    widths = np.geomspace(0.5, 40.0, 8)
+    together = np.log(np.mean([np.prod([one(s, w) for s in score]) for w in widths]))
+    lone = np.log(np.mean(np.exp(evidence.one_sided(np.array(score)))))
+    found = evidence.Spread.of(np.eye(3)).by_channel(np.array(score), False, False)
+    assert float(found) == pytest.approx(np.logaddexp(together, lone) - np.log(2.0), abs=0.35)

@@ -96,12 +96,12 @@ class Spread:
         amplitude is positive or absent unless it is signed."""
         lone = mean(_of_sign(score / np.sqrt(self.diagonal), np.expand_dims(signed, -1)))
         one = _of_sign(score.sum(axis=-1) / np.sqrt(self.total), signed)
-        return np.logaddexp(self.together(score) + self._positive(score, signed), np.where(alike, one, lone)) - np.log(
-            2.0
-        )
+        each = self.together(score) + self._positive(score, signed)
+        return np.logaddexp(each, np.where(alike, one, lone)) - np.log(2.0)
 
     def _positive(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
-        """What it adds that amplitudes cannot be negative, each for itself: twice the chance that it is positive."""
+        """What it adds that amplitudes cannot be negative: twice the chance of each that it is positive, as if that of
+        one told nothing of another's."""
         z = (score[..., None, :] @ self.standard)[..., 0, :]
         return np.where(signed, 0.0, (np.log(2.0) + log_ndtr(z)).sum(axis=-1))
 

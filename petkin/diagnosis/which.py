@@ -240,9 +240,8 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
     amplitude = np.asarray(term.amplitude, np.float64)
     linear = float(amplitude @ information @ amplitude)
     spread = evidence.Spread.of(information)
-    return float(spread.by_channel(information @ amplitude, hypothesis.alike, hypothesis.signed)) + 0.5 * (
-        gain - linear
-    )
+    found = spread.by_channel(information @ amplitude, hypothesis.alike, hypothesis.signed)
+    return float(found) + 0.5 * (gain - linear)
 
 
 def _log_volume(jacobian: Array, penalty: Array) -> float:

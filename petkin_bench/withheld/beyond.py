@@ -122,12 +122,11 @@ class _Look:
         return float(sizes @ (mine.T @ fit.left)), sizes
 
     def at(self, sizes: Array) -> Catalogued:
-        nothing = replace(self.effect, sizes=np.zeros_like(self.effect.sizes))
         if self.effect.cause.flag:
             return self.effect
         step = np.zeros(self.effect.coordinates)
         step[: sizes.size] = sizes / self.effect.cause.most
-        return nothing.moved(step)
+        return replace(self.effect, sizes=np.zeros_like(self.effect.sizes)).moved(step)
 
 
 def beyond(made: Made, law: NoiseLaw) -> float:

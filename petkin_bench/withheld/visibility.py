@@ -110,8 +110,8 @@ class Seen:
     left: Array
     axes: Array
     fitted: Subject
-    chi2: float = 0.0
-    guesses: tuple[Guess, ...] = ()
+    chi2: float
+    guesses: tuple[Guess, ...]
 
     @property
     def detectability(self) -> float:

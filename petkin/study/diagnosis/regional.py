@@ -42,7 +42,7 @@ _ACCURACY = 5e-4
 #: frames, where a refit that began there would stand on a kink.
 _SCANNER_ONSETS, _TISSUE_ONSETS, _WITHIN = 40, 14, (0.25, 0.75)
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
-#: one effect. Set on training scans, of which it makes the truth likelier whatever the truth is.
+#: one effect. Set on training scans, of which it makes the truth likelier taken together.
 _BLUNDER = -3.0
 #: Onsets before this (min) would be told from blood and its delay by their timing alone.
 _BOLUS_PASSED = 5.0

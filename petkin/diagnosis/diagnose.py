@@ -216,7 +216,7 @@ def _verdict(
         unknown=unknown,
         chosen=chosen,
         set_probability=sum(probability[name] for name in chosen),
-        regions=regions(leader, places, base, simulator) if present else places,
+        regions=regions(leader, places, base, simulator, noise) if present else places,
         frames=over(residual, left, gap, 1),
         onset=setting(leader, "onset") if present else None,
         frame=None if not present or (frame := setting(leader, "frame")) is None else int(frame),

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
+from petkin.diagnosis import evidence
+from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term
+from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.scan import Scan, starts
 from petkin.diagnosis.verdict import Estimate
@@ -18,6 +22,8 @@ from petkin.diagnosis.which import Candidate, columns_of
 Array = NDArray[np.float64]
 
 _Z90 = 1.6448536269514722
+#: Amplitudes below this share of their range change values by their slope.
+_SLIGHT = 0.02
 
 
 def estimates(candidate: Candidate, simulator: Simulator, base: Fit) -> tuple[Estimate, ...]:
@@ -70,17 +76,44 @@ def _amplitude(term: Term, errors: Array) -> Estimate:
     return Estimate("amplitude", hypothesis.unit, mean, mean - _Z90 * error, mean + _Z90 * error)
 
 
-def regions(leader: Candidate, found: Place, base: Fit, simulator: Simulator) -> Place:
-    """Of an effect that has an amplitude a channel, each amplitude's own test."""
-    fit = leader.fit
-    known = len(base.state.terms)
+def regions(leader: Candidate, found: Place, base: Fit, simulator: Simulator, noise: Noise) -> Place:
+    """Of an effect that has an amplitude a channel: each channel by the chance that it alone has one, and by its own
+    test if all have.
+
+    An amplitude counts by all that it changes, since the slope at a strong one may be next to none.
+
+    Reference: Efron B. Large-Scale Inference. Cambridge 2010, chapter 2 (a probability of none is a local false
+    discovery rate).
+    """
+    fit, known = leader.fit, len(base.state.terms)
     if fit is None or len(leader.terms) != 1 or not leader.terms[0].hypothesis.by_channel:
         return found
+    hypothesis = leader.terms[0].hypothesis
     place = columns_of(fit, len(simulator.channels), known)[0][""]
-    covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))
-    error = np.sqrt(np.maximum(np.diag(covariance)[place], 1e-300))
-    z = np.abs(np.asarray(leader.terms[0].amplitude)) / error
-    return Place(benjamini_hochberg(erfc(z / np.sqrt(2.0))), found.shares)
+    others = np.ones(fit.jacobian.shape[1], bool)
+    others[place] = False
+    columns, amplitude = _secants(fit, known, place, simulator, noise)
+    nuisance = Projection.of(fit.jacobian[:, others], fit.penalty[others])
+    information = nuisance.inner(columns, columns) + np.diag(fit.penalty[place])
+    spread, score = evidence.Spread.of(information), information @ amplitude
+    each = benjamini_hochberg(erfc(np.abs(spread.apart(score)) / np.sqrt(2.0)))
+    if hypothesis.alike:
+        return Place(each, found.shares)
+    alone = spread.alone(score, hypothesis.signed)
+    return Place(1.0 - alone - (1.0 - alone.sum()) * (1.0 - each), found.shares)
+
+
+def _secants(fit: Fit, known: int, place: slice, simulator: Simulator, noise: Noise) -> tuple[Array, Array]:
+    """Whitened change by every channel's amplitude (n, C) over that amplitude, slopes where it is next to nothing; and
+    the amplitudes."""
+    terms, own = fit.state.terms, fit.state.terms[known]
+    amplitude = np.asarray(own.amplitude, np.float64)
+    without = (*terms[:known], replace(own, amplitude=np.zeros_like(amplitude)), *terms[known + 1 :])
+    change = fit.values - simulator.predict(fit.state.own, fit.state.shared, without)
+    strong = np.abs(amplitude) > _SLIGHT * own.hypothesis.width
+    size = np.where(strong, amplitude, 1.0)
+    secants = noise.whiten(np.eye(len(change))[:, :, None] * (change / size[:, None])[None]).T
+    return np.where(strong, secants, fit.jacobian[:, place]), amplitude
 
 
 def setting(leader: Candidate, symbol: str) -> float | None:

@@ -94,16 +94,32 @@ class Spread:
     def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool, signed: NDArray[np.bool_] | bool) -> Array:
         """The same of amplitudes that differ between channels: all of them, or one alone; one for all where alike. One
         amplitude is positive or absent unless it is signed."""
-        lone = mean(_of_sign(score / np.sqrt(self.diagonal), np.expand_dims(signed, -1)))
         one = _of_sign(score.sum(axis=-1) / np.sqrt(self.total), signed)
-        each = self.together(score) + self._positive(score, signed)
-        return np.logaddexp(each, np.where(alike, one, lone)) - np.log(2.0)
+        lone = mean(self._lone(score, signed))
+        return np.logaddexp(self._each(score, signed), np.where(alike, one, lone)) - np.log(2.0)
+
+    def alone(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+        """Probability of every channel (..., n) that it alone has an amplitude, and not all of them."""
+        lone = self._lone(score, signed)
+        every = self._each(score, signed)[..., None] + np.log(lone.shape[-1])
+        top = np.maximum(lone.max(axis=-1, keepdims=True), every)
+        share = np.exp(lone - top)
+        return np.asarray(share / (share.sum(axis=-1, keepdims=True) + np.exp(every - top)), np.float64)
+
+    def apart(self, score: Array) -> Array:
+        """Every channel's amplitude in units of its error (..., n)."""
+        return np.asarray((score[..., None, :] @ self.standard)[..., 0, :], np.float64)
+
+    def _lone(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+        return _of_sign(score / np.sqrt(self.diagonal), np.expand_dims(signed, -1))
+
+    def _each(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+        return self.together(score) + self._positive(score, signed)
 
     def _positive(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
         """What it adds that amplitudes cannot be negative: twice the chance of each that it is positive, as if that of
         one told nothing of another's."""
-        z = (score[..., None, :] @ self.standard)[..., 0, :]
-        return np.where(signed, 0.0, (np.log(2.0) + log_ndtr(z)).sum(axis=-1))
+        return np.where(signed, 0.0, (np.log(2.0) + log_ndtr(self.apart(score))).sum(axis=-1))
 
 
 def _of_sign(t: Array, signed: NDArray[np.bool_] | bool) -> Array:

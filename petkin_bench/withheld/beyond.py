@@ -24,14 +24,14 @@ from petkin_bench.withheld.visibility import Seen, seen
 
 Array = NDArray[np.float64]
 
-#: Effects that have but one sign in the catalogue's words; how far one may go down that may go further up.
+#: Effects that have but one sign in the catalogue's words; and one whose range there is narrower than what is drawn.
 _ONE_SIDED = frozenset(
     (
         *("dispersion", "vascular_trapping", "tissue_metabolite", "tissue_heterogeneity", "saturable_binding"),
         *("partial_volume", "motion_step", "motion_drift", "dead_time", "nonnegativity_bias"),
     )
 )
-_LEAST = {"time_varying_kinetics": -0.95}
+_PLAUSIBLE = {"time_varying_kinetics": (-0.5, 2.0)}
 #: Effects whose length is free, and its limits, min.
 _LONG, _SHORTEST, _LONGEST = frozenset(("parent_fraction", "time_varying_kinetics")), 1.0, 60.0
 #: Onsets and lengths at which a refit may begin.
@@ -96,8 +96,8 @@ class Catalogued:
 
     def _with(self, step: Array) -> Catalogued:
         most, place = self.cause.most, 0 if self.cause.flag else self.sizes.size
-        low = 0.0 if self.cause.name in _ONE_SIDED else _LEAST.get(self.cause.name, -most)
-        sizes = np.clip(self.sizes + most * step[:place], low, most) if place else self.sizes
+        low, high = _PLAUSIBLE.get(self.cause.name, (0.0 if self.cause.name in _ONE_SIDED else -most, most))
+        sizes = np.clip(self.sizes + most * step[:place], low, high) if place else self.sizes
         drawn = self.drawn
         if self.cause.onset:
             onset = float(np.clip(drawn.onset + _FURTHEST * step[place], 0.05 * self.end, 0.95 * self.end))

@@ -59,3 +59,21 @@ def test_an_image_without_noise_has_even_noise() -> None:
     found = voxel_noise(curves, LABELS, np.ones((2, FRAMES)), np.ones((1, FRAMES)) / np.sqrt(FRAMES), np.full(3, 5.0))
     assert np.isfinite(found.of_means()).all()
     assert (found.of_means() > 0).all()
+
+
+def true_noise(furthest: int) -> VoxelNoise:
+    """What `shared_noise` is: e^{-d^2 / 4 sigma^2} of half the variance, d in voxels."""
+    at = np.arange(-furthest, furthest + 1)
+    squares = (np.stack(np.meshgrid(at, at, at, indexing="ij")) ** 2).sum(axis=0)
+    shared = 0.5 * np.exp(-squares / (4.0 * 1.2**2)) + 0.5 * (squares == 0)
+    return VoxelNoise(np.ones(FRAMES), shared, LABELS)
+
+
+def test_what_goes_with_the_mean_of_a_region_is_given_back() -> None:
+    """Residuals lose their region's mean and what the courses take: sums of all kinds scatter as noise itself does."""
+    inside = LABELS > 0
+    place, true = LABELS[inside] - 1, true_noise(5)
+    found = [of_noise(seed) for seed in range(20)]
+    for weights in (np.ones(place.size), *(at - at.mean() for at in np.stack(np.nonzero(inside)).astype(np.float64))):
+        ratio = np.mean([each.sizes(weights) ** 2 for each in found], axis=0) / true.sizes(weights) ** 2
+        np.testing.assert_allclose(ratio, 1.0, atol=0.12)

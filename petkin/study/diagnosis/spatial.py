@@ -72,7 +72,7 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     predicted, scene = _Predicted.of(voxels), _Scene(voxels)
     contrasts = scene.contrasts()
     variation = Variation.of(voxels, contrasts)
-    families, patterns = predicted.blurred(variation)
+    families, patterns = predicted.blurred()
     width = predicted.width(families["blur"].rows, patterns)
     for contrast in contrasts:
         families[contrast.family] = scene.family(contrast, variation)
@@ -87,6 +87,14 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
 
 def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
     return np.asarray(blur(maps, width, size), np.float64)
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A contrast: weights of the voxels (N,), and the standard deviation of its noise in every region (R,)."""
+
+    weights: Array
+    sizes: Array
 
 
 @dataclass(frozen=True)
@@ -145,16 +153,21 @@ class _Predicted:
         number = np.maximum(np.bincount(self.voxels.place), 1)
         return self.voxels.over_regions(maps[self.voxels.inside]) / number[:, None]
 
-    def blurred(self, variation: Variation) -> tuple[dict[str, Family], list[Pattern]]:
-        """One contrast for the point spread, with a pattern a width."""
+    def blurred(self) -> tuple[dict[str, Family], list[Pattern]]:
+        """One contrast for the point spread, with a pattern a width.
+
+        It is there in every frame, as kinetics that vary are: how far they do is told by decoys of this very contrast,
+        which are as fine as it is.
+        """
         voxels, courses = self.voxels, self.voxels.picture.courses
         weights = voxels.centred(self._seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
+        size = voxels.picture.grain.sizes(weights)
+        variation = Variation.of(voxels, [_Weighed(weights, size)])
         rows = [voxels.framed(weights, self._seen(width)[voxels.inside], courses) for width in _WIDTHS]
         patterns = [
             Pattern("partial_volume", "blur", row, {}, scale=width, signed=False)
             for width, row in zip(_WIDTHS, rows, strict=True)
         ]
-        size = voxels.picture.grain.sizes(weights)
         return {"blur": Family(voxels.sums(weights), variation.columns(weights), size)}, patterns
 
     def width(self, contrast: Array, patterns: list[Pattern]) -> float:

@@ -21,8 +21,8 @@ from petkin.diagnosis import second_differences
 
 Array = NDArray[np.float64]
 
-#: Neighbours share noise over no more than this, mm.
-_FURTHEST_MM = 25.0
+#: Neighbours share noise over no more than this, mm, and next to none from this on.
+_FURTHEST_MM, _FAR_MM = 25.0, 25.0
 #: No more than this share of a frame counts as taken by the courses; no frame or region is quieter than that share.
 _TAKEN, _QUIET = 0.8, 0.05
 #: Frames that tell how far voxels share noise: each has all pairs of neighbours.
@@ -90,15 +90,16 @@ def voxel_noise(
     """
     place = labels[labels > 0] - 1
     left = np.empty(curves.shape, np.float32)
+    kept = np.empty(spread.shape, np.float32)
     for r, s in enumerate(spread):
         mine = place == r
         axes = np.linalg.qr((courses / s).T)[0].astype(np.float32)
         scaled = (curves[mine] / s).astype(np.float32)
         scaled -= (scaled @ axes) @ axes.T
-        taken = np.minimum((axes**2).sum(axis=1), _TAKEN)
-        left[mine] = (scaled - scaled.mean(axis=0)) / np.sqrt(1.0 - taken)
-    by_frame = _relative(np.median(np.abs(left), axis=0).astype(np.float64), np.median)
-    left /= by_frame.astype(np.float32)
+        kept[r] = np.sqrt(1.0 - np.minimum((axes**2).sum(axis=1), _TAKEN))
+        left[mine] = scaled - scaled.mean(axis=0)
+    by_frame = _relative(np.median(np.abs(left / kept[place]), axis=0).astype(np.float64), np.median)
+    left /= by_frame.astype(np.float32)  # as it is: what the courses took is smooth, and second differences miss none
     bends: NDArray[np.floating] = second_differences(left)  # type: ignore[arg-type]
     return VoxelNoise(by_frame, _shared(bends, labels, size), labels)
 
@@ -110,7 +111,11 @@ def _relative(sizes: Array, usual: Callable[[Array], float]) -> Array:
 
 
 def _shared(noise: NDArray[np.floating], labels: NDArray[np.intp], size: Array) -> Array:
-    """C of noise (N, K), on whole voxels."""
+    """C of noise (N, K) less the mean over each region, on whole voxels.
+
+    Pairs within a region of n voxels have lost b / n with its mean. At the far end noise is no longer shared: what
+    products are below zero there tells b.
+    """
     inside = labels > 0
     lags = tuple(2 * min(int(_FURTHEST_MM / edge), n - 1) + 1 for edge, n in zip(size, labels.shape, strict=True))
     frames = np.unique(np.linspace(0, noise.shape[1] - 1, _ENOUGH).round().astype(int))
@@ -119,7 +124,23 @@ def _shared(noise: NDArray[np.floating], labels: NDArray[np.intp], size: Array) 
         grid[inside] = noise[:, k]
         total += _products(grid, lags)
     pairs = len(frames) * _products(inside.astype(np.float64), lags)
-    return np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0)
+    found = np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0)
+    lost = len(frames) * _within(labels, lags) / np.maximum(pairs, 1.0)
+    weight = np.where(_distances(lags, size) > _FAR_MM, pairs * lost, 0.0)
+    taken = max(-float((weight * found).sum()) / max(float((weight * lost).sum()), 1e-300), 0.0)
+    return np.where(pairs > 0.5, found + taken * lost, 0.0)
+
+
+def _within(labels: NDArray[np.intp], lags: tuple[int, ...]) -> Array:
+    """Pairs of voxels of one region at every distance, over the voxels of that region, of all regions together."""
+    masks = [(labels[box] == r + 1).astype(np.float64) for r, box in enumerate(find_objects(labels))]
+    return np.sum([_products(mask, lags) / max(mask.sum(), 1.0) for mask in masks], axis=0)
+
+
+def _distances(lags: tuple[int, ...], size: Array) -> Array:
+    """mm of every distance of so many lags, the middle at none."""
+    steps = [(np.arange(lag) - lag // 2) * edge for lag, edge in zip(lags, size, strict=True)]
+    return np.sqrt(sum(each**2 for each in np.meshgrid(*steps, indexing="ij")))
 
 
 def _spread(grid: Array, shared: Array) -> Array:

@@ -16,7 +16,11 @@ APART = 3.0 * np.eye(ROWS)[:, :, None] * COURSE
 TOGETHER = 3.0 * np.ones((1, ROWS, 1)) * COURSE
 
 
-def p_of_noise(rng: np.random.Generator, nuisance: np.ndarray) -> float:
+#: Rows that share noise.
+SHARED = 0.6 * np.eye(ROWS) + 0.4
+
+
+def p_of_noise(rng: np.random.Generator, nuisance: np.ndarray, noise: np.ndarray) -> float:
     patterns = [
         Pattern("step", name, np.ones((ROWS, 1)) * COURSE * (np.arange(SAMPLES) >= k), {"onset": float(k)})
         for name in ("x", "y")
@@ -24,15 +28,17 @@ def p_of_noise(rng: np.random.Generator, nuisance: np.ndarray) -> float:
     ]
     families = {}
     for name in ("x", "y"):
-        rows = rng.standard_normal((ROWS, SAMPLES)) + np.tensordot(rng.standard_normal(len(nuisance)), nuisance, 1)
-        families[name] = Family(rows, nuisance, np.ones(ROWS))
+        rows = np.linalg.cholesky(noise) @ rng.standard_normal((ROWS, SAMPLES))
+        rows = rows + np.tensordot(rng.standard_normal(len(nuisance)), nuisance, 1)
+        families[name] = Family(rows, nuisance, noise)
     return judge_contrasts(families, patterns, least=1e-9, draws=200, rng=rng).p_value
 
 
+@pytest.mark.parametrize("noise", [np.eye(ROWS), SHARED])
 @pytest.mark.parametrize("nuisance", [APART, TOGETHER])
-def test_p_values_of_noise_are_uniform(nuisance: np.ndarray) -> None:
+def test_p_values_of_noise_are_uniform(nuisance: np.ndarray, noise: np.ndarray) -> None:
     rng = np.random.default_rng(1)
-    found = np.array([p_of_noise(rng, nuisance) for _ in range(300)])
+    found = np.array([p_of_noise(rng, nuisance, noise) for _ in range(300)])
     assert 0.02 <= np.mean(found <= 0.05) <= 0.09
     assert 0.15 <= np.mean(found <= 0.25) <= 0.35
     assert 0.4 <= np.mean(found <= 0.5) <= 0.6

@@ -22,7 +22,7 @@ def departure(gap: np.ndarray, rng: np.random.Generator, noise: float = 1.0) -> 
     rows = noise * rng.standard_normal((PLACES * ROWS, SAMPLES))
     rows += np.tensordot(rng.standard_normal(len(ALWAYS)), ALWAYS, 1)
     rows += np.einsum("bk,bjk->jk", gap, ADDED)
-    return Departure(Family(rows, ALWAYS, np.ones(len(rows))), ADDED, TIMES)
+    return Departure(Family(rows, ALWAYS, np.eye(len(rows))), ADDED, TIMES)
 
 
 def judged(each: Departure, rng: np.random.Generator) -> tuple[float, np.ndarray]:
@@ -62,7 +62,7 @@ def test_p_values_of_noise_are_not_too_small() -> None:
     step = Pattern("step", "x", np.ones((ROWS, 1)) * (TIMES > 30.0), {"onset": 30.0})
     found = []
     for _ in range(150):
-        families = {"x": Family(rng.standard_normal((ROWS, SAMPLES)), np.zeros((1, ROWS, SAMPLES)), np.ones(ROWS))}
+        families = {"x": Family(rng.standard_normal((ROWS, SAMPLES)), np.zeros((1, ROWS, SAMPLES)), np.eye(ROWS))}
         one = departure(swelling(), rng)
         found.append(judge_contrasts(families, [step], [one], least=1e-9, draws=DRAWS, rng=rng).p_value)
     assert np.mean(np.array(found) <= 0.05) <= 0.09

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -36,7 +37,7 @@ def of_noise(seed: int) -> VoxelNoise:
 
 def test_a_noisy_frame_shows_in_the_voxels() -> None:
     found = of_noise(0).by_frame
-    np.testing.assert_allclose(found[2:], UNSTEADY[2:], rtol=0.15)
+    np.testing.assert_allclose(found[:, 2:], np.stack([UNSTEADY[2:]] * 2), rtol=0.15)
 
 
 def test_sums_scatter_as_neighbours_share_noise() -> None:
@@ -77,3 +78,39 @@ def test_what_goes_with_the_mean_of_a_region_is_given_back() -> None:
     for weights in (np.ones(place.size), *(at - at.mean() for at in np.stack(np.nonzero(inside)).astype(np.float64))):
         ratio = np.mean([each.sizes(weights) ** 2 for each in found], axis=0) / true.sizes(weights) ** 2
         np.testing.assert_allclose(ratio, 1.0, atol=0.12)
+
+
+@pytest.mark.parametrize("own", [0.0, 0.6, 1.0])
+def test_voxels_say_whose_counts_they_scatter_by(own: float) -> None:
+    """Two halves whose curves cross: noise goes by their own values, or by what both have."""
+    rng, labels = np.random.default_rng(6), np.ones((EDGE, EDGE, EDGE), np.intp)
+    labels[:, EDGE // 2 :] = 2
+    place, frames = labels.ravel() - 1, np.arange(FRAMES)
+    curves = np.stack([100.0 * np.exp(-frames / 3.0) + 3.0, 30.0 * np.exp(-frames / 20.0)])
+    counted = np.sqrt(curves)
+    true = counted**own * np.exp(np.log(counted).mean(axis=0)) ** (1.0 - own)
+    noise = (shared_noise(rng) / UNSTEADY[:, None, None, None]).reshape(FRAMES, -1).T
+    found = voxel_noise(
+        curves[place] + 0.1 * true[place] * noise, labels, counted, np.linalg.qr(curves.T)[0].T, np.full(3, 5.0)
+    )
+    apart, untold = (np.diff(np.log(said / true), axis=0).std() for said in (found.by_frame * counted, counted))
+    assert untold >= 0.25 * (1.0 - own)
+    assert apart < 0.02 + 0.1 * untold
+
+
+def test_regions_that_touch_share_noise_at_their_border() -> None:
+    """Two halves of a block, weights of one sign and of both, against draws."""
+    labels = np.zeros((EDGE, EDGE, EDGE), np.intp)
+    labels[3:15, 3:9, 3:15], labels[3:15, 9:15, 3:15] = 1, 2
+    inside = labels > 0
+    place, known = labels[inside] - 1, true_noise(5)
+    noise = VoxelNoise(known.by_frame, known.shared, labels)
+    rng = np.random.default_rng(7)
+    drawn = np.concatenate([(shared_noise(rng) / UNSTEADY[:, None, None, None])[:, inside] for _ in range(40)])
+    along = np.nonzero(inside)[0].astype(np.float64)
+    for weights in (np.ones(place.size), along - along.mean()):
+        sums = np.stack([drawn[:, place == r] @ weights[place == r] for r in (0, 1)])
+        found = noise.between(weights)
+        np.testing.assert_allclose(found, np.cov(sums), atol=0.15 * found[0, 0])
+        np.testing.assert_allclose(np.sqrt(np.diag(found)), noise.sizes(weights), rtol=1e-9)
+        assert found[0, 1] > 0.1 * found[0, 0]

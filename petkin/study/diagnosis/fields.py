@@ -76,7 +76,7 @@ def _seen(
     rows = _stacked([voxels.sums(each)[regions] for each in weights])
     seen, courses = voxels.seen, voxels.picture.courses
     added = [_stacked([voxels.framed(w, field[:, None] * seen, courses)[regions] for w in weights]) for field in fields]
-    return Family(rows, nuisance, np.ones(len(rows))), np.stack(added)
+    return Family(rows, nuisance, np.eye(len(rows))), np.stack(added)
 
 
 def _stacked(rows: list[Array]) -> Array:

@@ -91,14 +91,19 @@ def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """A contrast: weights of the voxels (N,), and the standard deviation of its noise in every region (R,)."""
+    """A contrast: weights of the voxels (N,), and the covariance of its noise between the regions (R, R)."""
 
     weights: Array
-    sizes: Array
+    noise: Array
+
+    @property
+    def sizes(self) -> Array:
+        """Standard deviation of its noise in every region (R,)."""
+        return np.sqrt(np.maximum(np.diag(self.noise), 0.0))
 
 
 @dataclass(frozen=True)
-class _Contrast:
+class _Contrast(_Weighed):
     """A contrast along or about an axis and what it looks for: effects that add maps times their amplitude.
 
     Args:
@@ -107,8 +112,6 @@ class _Contrast:
         axis: of the grid.
         maps: what a unit of them adds to every voxel, in courses (N, M).
         prior: standard deviation of the amplitude, in its unit.
-        weights: of the voxels (N,).
-        sizes: standard deviation of its noise in every region (R,).
     """
 
     family: str
@@ -116,8 +119,6 @@ class _Contrast:
     axis: int
     maps: Array
     prior: float
-    weights: Array
-    sizes: Array
 
 
 @dataclass(frozen=True)
@@ -161,14 +162,14 @@ class _Predicted:
         """
         voxels, courses = self.voxels, self.voxels.picture.courses
         weights = voxels.centred(self._seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
-        size = voxels.picture.grain.sizes(weights)
-        variation = Variation.of(voxels, [_Weighed(weights, size)])
+        contrast = _Weighed(weights, voxels.picture.grain.between(weights))
+        variation = Variation.of(voxels, [contrast])
         rows = [voxels.framed(weights, self._seen(width)[voxels.inside], courses) for width in _WIDTHS]
         patterns = [
             Pattern("partial_volume", "blur", row, {}, scale=width, signed=False)
             for width, row in zip(_WIDTHS, rows, strict=True)
         ]
-        return {"blur": Family(voxels.sums(weights), variation.columns(weights), size)}, patterns
+        return {"blur": Family(voxels.sums(weights), variation.columns(weights), contrast.noise)}, patterns
 
     def width(self, contrast: Array, patterns: list[Pattern]) -> float:
         """The FWHM at which the predicted contrast is as large as the image's, mm."""
@@ -219,13 +220,13 @@ class _Scene:
 
     def _along(self, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
         weights = self.voxels.centred(self.voxels.total(maps))
-        return _Contrast(family, names, axis, maps, prior, weights, self.voxels.picture.grain.sizes(weights))
+        return _Contrast(weights, self.voxels.picture.grain.between(weights), family, names, axis, maps, prior)
 
     def family(self, contrast: _Contrast, variation: Variation) -> Family:
         """Its rows, with what they may hold of an image that stays as it is."""
         weights = contrast.weights
         nuisance = np.concatenate([variation.columns(weights), self.voxels.there(weights)])
-        return Family(self.voxels.sums(weights), nuisance, contrast.sizes)
+        return Family(self.voxels.sums(weights), nuisance, contrast.noise)
 
     def patterns(self, contrast: _Contrast, simulator: RegionalSimulator) -> list[Pattern]:
         """What its effects add, by setting."""

@@ -5,7 +5,8 @@ A region has few frames but many voxels, so that what its own curve tells of noi
     r_v(k) = (x_v(k) - what mixtures of a few courses make of it) / s_r(k) = h(k) e_v(k),
     cov(e_v, e_u) = C(v - u)
 
-h is the median size of the frame's residuals, C the mean of products of all pairs of voxels at one distance.
+h is the median size of the frame's residuals, as far as those scatter with the counts of their region, C the mean of
+products of all pairs of voxels at one distance.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 _FURTHEST_MM, _FAR_MM = 25.0, 25.0
 #: No more than this share of a frame counts as taken by the courses; no frame or region is quieter than that share.
 _TAKEN, _QUIET = 0.8, 0.05
+#: Voxels that scatter as one, and how far noise usually keeps from the law of a region's own counts.
+_TOGETHER, _USUAL_LAW = 10.0, 0.5
 #: Frames that tell how far voxels share noise: each has all pairs of neighbours.
 _ENOUGH = 12
 #: Edges of a grid whose transform is quick are multiples of this.
@@ -36,7 +39,7 @@ class VoxelNoise:
     """Noise of the voxels of a segmentation, in units of their region's spread.
 
     Args:
-        by_frame: h (K,), 1 in the median.
+        by_frame: h (R, K), 1 in the median frame, or about that where voxels do not scatter by their region's counts.
         shared: C, sampled at whole voxels (lags), the middle at no distance.
         labels: region of every voxel in a box around them, from 1, 0 outside.
     """
@@ -52,6 +55,18 @@ class VoxelNoise:
         boxes = find_objects(self.labels)
         found = [self._variance(np.where(self.labels[box] == r + 1, grid[box], 0.0)) for r, box in enumerate(boxes)]
         return np.sqrt(np.maximum(found, 0.0))
+
+    def between(self, weights: Array) -> Array:
+        """Covariance of sum_v w_v e_v between all regions (R, R): voxels on either side of a border share noise too."""
+        grid = np.zeros(self.labels.shape)
+        grid[self.labels > 0] = weights
+        boxes = find_objects(self.labels)
+        found = np.zeros((len(boxes), len(boxes)))
+        for r, box in enumerate(boxes):
+            wide = tuple(slice(max(b.start - n // 2, 0), b.stop + n // 2) for b, n in zip(box, self.shared.shape))
+            reached = grid[wide] * _spread(np.where(self.labels[wide] == r + 1, grid[wide], 0.0), self.shared)
+            found[r] = np.bincount(self.labels[wide].ravel(), reached.ravel(), len(boxes) + 1)[1:]
+        return 0.5 * (found + found.T)
 
     def covariances(self, weights: Array) -> list[Array]:
         """Covariance of sum_v w_v e_v of several weights (F, N) of the labelled voxels, in every region (F, F)."""
@@ -98,10 +113,32 @@ def voxel_noise(
         scaled -= (scaled @ axes) @ axes.T
         kept[r] = np.sqrt(1.0 - np.minimum((axes**2).sum(axis=1), _TAKEN))
         left[mine] = scaled - scaled.mean(axis=0)
-    by_frame = _relative(np.median(np.abs(left / kept[place]), axis=0).astype(np.float64), np.median)
-    left /= by_frame.astype(np.float32)  # as it is: what the courses took is smooth, and second differences miss none
+    even = _evened(left / kept[place], place, spread)
+    left /= even.astype(np.float32)[place]
+    by_frame = even * _relative(np.median(np.abs(left / kept[place]), axis=0).astype(np.float64), np.median)
+    left /= (by_frame / even).astype(np.float32)[place]  # what the courses took is smooth: no second difference has it
     bends: NDArray[np.floating] = second_differences(left)  # type: ignore[arg-type]
     return VoxelNoise(by_frame, _shared(bends, labels, size), labels)
+
+
+def _evened(left: NDArray[np.floating], place: NDArray[np.intp], spread: Array) -> Array:
+    """Factor of the spread (R, K), as far as voxels scatter less by their own region's counts than by all regions'.
+
+    log |r_v(k)| = a_k + b_r - g u_r(k),   u = log s less its means over regions and over frames,   0 <= g <= 1
+    """
+    sizes = np.stack([np.median(np.abs(left[place == r]), axis=0) for r in range(len(spread))]).astype(np.float64)
+    if not (sizes > 0).all():
+        return np.ones_like(spread)
+    weight = np.bincount(place)[:, None] / _TOGETHER
+    own, seen = (_interaction(np.log(values), weight) for values in (spread, sizes))
+    told = -float((weight * own * seen).sum()) / (float((weight * own**2).sum()) + _USUAL_LAW**-2.0)
+    return np.exp(-np.clip(told, 0.0, 1.0) * own)
+
+
+def _interaction(values: Array, weight: Array) -> Array:
+    """Values (R, K) less their weighted means over regions and over frames."""
+    apart = values - (weight * values).sum(axis=0) / weight.sum()
+    return np.asarray(apart - apart.mean(axis=1, keepdims=True), np.float64)
 
 
 def _relative(sizes: Array, usual: Callable[[Array], float]) -> Array:

@@ -105,20 +105,31 @@ def voxel_noise(
     """
     place = labels[labels > 0] - 1
     left = np.empty(curves.shape, np.float32)
-    kept = np.empty(spread.shape, np.float32)
+    residual = np.empty((*spread.shape, spread.shape[1]), np.float32)
     for r, s in enumerate(spread):
         mine = place == r
         axes = np.linalg.qr((courses / s).T)[0].astype(np.float32)
         scaled = (curves[mine] / s).astype(np.float32)
         scaled -= (scaled @ axes) @ axes.T
-        kept[r] = np.sqrt(1.0 - np.minimum((axes**2).sum(axis=1), _TAKEN))
+        residual[r] = np.eye(len(axes)) - axes @ axes.T
         left[mine] = scaled - scaled.mean(axis=0)
+    kept = np.sqrt(np.maximum(np.diagonal(residual, axis1=1, axis2=2), 1.0 - _TAKEN))
     even = _evened(left / kept[place], place, spread)
     left /= even.astype(np.float32)[place]
     by_frame = even * _relative(np.median(np.abs(left / kept[place]), axis=0).astype(np.float64), np.median)
-    left /= (by_frame / even).astype(np.float32)[place]  # what the courses took is smooth: no second difference has it
+    left /= (by_frame / even).astype(np.float32)[place]
     bends: NDArray[np.floating] = second_differences(left)  # type: ignore[arg-type]
+    bends /= _bent(residual, by_frame).astype(np.float32)[place]
     return VoxelNoise(by_frame, _shared(bends, labels, size), labels)
+
+
+def _bent(residual: NDArray[np.floating], by_frame: Array) -> Array:
+    """Size of second differences of unit noise that has lost what the courses took (R, K - 2): what is smooth in time,
+    which most of it is, differences would not have had."""
+    each = by_frame[:, None, :] * residual / by_frame[:, :, None]
+    covariance = each @ each.swapaxes(-1, -2)
+    bend = np.diff(np.eye(by_frame.shape[1]), n=2, axis=0) / np.sqrt(6.0)
+    return np.sqrt(np.maximum(np.diagonal(bend @ covariance @ bend.T, axis1=1, axis2=2), 1.0 - _TAKEN))
 
 
 def _evened(left: NDArray[np.floating], place: NDArray[np.intp], spread: Array) -> Array:

@@ -22,8 +22,8 @@ from petkin.diagnosis import second_differences
 
 Array = NDArray[np.float64]
 
-#: Neighbours share noise over no more than this, mm, and next to none from this on.
-_FURTHEST_MM, _FAR_MM = 25.0, 25.0
+#: Neighbours share noise over no more than this along an axis, mm; next to none as far as that across axes.
+_FURTHEST_MM = 25.0
 #: No more than this share of a frame counts as taken by the courses; no frame or region is quieter than that share.
 _TAKEN, _QUIET = 0.8, 0.05
 #: Voxels that scatter as one, and how far noise usually keeps from the law of a region's own counts.
@@ -124,8 +124,14 @@ def voxel_noise(
 
 
 def _bent(residual: NDArray[np.floating], by_frame: Array) -> Array:
-    """Size of second differences of unit noise that has lost what the courses took (R, K - 2): what is smooth in time,
-    which most of it is, differences would not have had."""
+    """Size of second differences of unit noise that has lost what the courses took (R, K - 2).
+
+    Most of that is smooth in time, and differences would not have had it.
+
+    Args:
+        residual: what the courses leave of values in units of the region's spread (R, K, K).
+        by_frame: h (R, K).
+    """
     each = by_frame[:, None, :] * residual / by_frame[:, :, None]
     covariance = each @ each.swapaxes(-1, -2)
     bend = np.diff(np.eye(by_frame.shape[1]), n=2, axis=0) / np.sqrt(6.0)
@@ -174,7 +180,7 @@ def _shared(noise: NDArray[np.floating], labels: NDArray[np.intp], size: Array) 
     pairs = len(frames) * _products(inside.astype(np.float64), lags)
     found = np.where(pairs > 0.5, total / np.maximum(pairs, 1.0), 0.0)
     lost = len(frames) * _within(labels, lags) / np.maximum(pairs, 1.0)
-    weight = np.where(_distances(lags, size) > _FAR_MM, pairs * lost, 0.0)
+    weight = np.where(_distances(lags, size) > _FURTHEST_MM, pairs * lost, 0.0)
     taken = max(-float((weight * found).sum()) / max(float((weight * lost).sum()), 1e-300), 0.0)
     return np.where(pairs > 0.5, found + taken * lost, 0.0)
 

@@ -9,7 +9,7 @@ it, and the trace is what it would be for the true mean: noise and the cost of t
 G is the difference of two sums that share their noise; L is not, and its error, sqrt(2 D_floor), is as large as a weak
 gap. So L is known beforehand as well: should an explanation H be true, this one leaves what its own refit leaves of the
 difference to H, and a little that no fit takes; should no name be true, it may leave a visible gap. The value
-is the mean of closure, and the interval holds 0.9 of it, over all explanations by their probability and by what their
+is the median of closure, and the interval holds 0.9 of it, over all explanations by their probability and by what their
 L makes of the held-out deviance. Nothing is 1 by construction: a sure name still leaves a little.
 
 Reference: Cook RD, Weisberg S. Residuals and influence in regression. Chapman and Hall 1982.
@@ -38,7 +38,7 @@ _LITTLE, _MUCH = (0.7, 1.8), 30.0
 _CLAIMED = 9.0
 _P = (np.arange(60) + 0.5) / 60
 _LITTLE_LEFT, _MUCH_LEFT = _LITTLE[0] * np.exp(_LITTLE[1] * norm.ppf(_P)), -_MUCH * np.log(_P)
-_TAILS = (0.08, 0.98)
+_SHARES = (0.08, 0.5, 0.98)
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,5 @@ def closure(without: Fit, with_it: Fit, shape: tuple[int, int], others: Sequence
     gone = max(before - low_before - (after - low_after), _CLAIMED)
     closed = gone / (gone + unseen)
     order = np.argsort(closed)
-    low, high = np.interp(_TAILS, np.cumsum(weight[order]), closed[order])
-    value = float(weight @ closed)
-    return Interval(value, min(float(low), value), max(float(high), value))
+    low, value, high = (float(c) for c in np.interp(_SHARES, np.cumsum(weight[order]), closed[order]))
+    return Interval(value, low, high)

@@ -12,12 +12,11 @@ from scipy.special import erfc
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term
-from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.scan import Scan, starts
 from petkin.diagnosis.verdict import Estimate
 from petkin.diagnosis.where import Place, benjamini_hochberg
-from petkin.diagnosis.which import Candidate, columns_of
+from petkin.diagnosis.which import Candidate, columns_of, informed
 
 Array = NDArray[np.float64]
 
@@ -90,11 +89,8 @@ def regions(leader: Candidate, found: Place, base: Fit, simulator: Simulator, no
         return found
     hypothesis = leader.terms[0].hypothesis
     place = columns_of(fit, len(simulator.channels), known)[0][""]
-    others = np.ones(fit.jacobian.shape[1], bool)
-    others[place] = False
     columns, amplitude = _secants(fit, known, place, simulator, noise)
-    nuisance = Projection.of(fit.jacobian[:, others], fit.penalty[others])
-    information = nuisance.inner(columns, columns) + np.diag(fit.penalty[place])
+    information = informed(fit, place, columns)
     spread, score = evidence.Spread.of(information), information @ amplitude
     each = benjamini_hochberg(erfc(np.abs(spread.apart(score)) / np.sqrt(2.0)))
     if hypothesis.alike:

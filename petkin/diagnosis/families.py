@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: The least whose square is not zero.
 _TINY = 1e-150
 
 

@@ -232,16 +232,20 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
     if not hypothesis.by_channel:
         t = np.sqrt(gain)
         return float(evidence.two_sided(t) if hypothesis.signed else evidence.one_sided(t))
-    others = np.ones(fit.jacobian.shape[1], bool)
-    others[place] = False
-    nuisance = Projection.of(fit.jacobian[:, others], fit.penalty[others])
-    columns = fit.jacobian[:, place]
-    information = nuisance.inner(columns, columns) + np.diag(fit.penalty[place])
+    information = informed(fit, place, fit.jacobian[:, place])
     amplitude = np.asarray(term.amplitude, np.float64)
     linear = float(amplitude @ information @ amplitude)
     spread = evidence.Spread.of(information)
     found = spread.by_channel(information @ amplitude, hypothesis.alike, hypothesis.signed)
     return float(found) + 0.5 * (gain - linear)
+
+
+def informed(fit: Fit, place: slice, columns: Array) -> Array:
+    """G'PG with its prior, of columns G (n, C) in place of those of a term's amplitudes, all else of the fit free."""
+    others = np.ones(fit.jacobian.shape[1], bool)
+    others[place] = False
+    nuisance = Projection.of(fit.jacobian[:, others], fit.penalty[others])
+    return nuisance.inner(columns, columns) + np.diag(fit.penalty[place])
 
 
 def _log_volume(jacobian: Array, penalty: Array) -> float:

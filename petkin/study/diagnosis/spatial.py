@@ -27,7 +27,7 @@ from petkin.imaging import FrameSchedule, blur
 from petkin.study.diagnosis.fields import departures
 from petkin.study.diagnosis.picture import BESIDE, Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator, onsets
-from petkin.study.diagnosis.variation import Variation
+from petkin.study.diagnosis.variation import Variation, Weighed
 
 Array = NDArray[np.float64]
 
@@ -90,20 +90,7 @@ def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
 
 
 @dataclass(frozen=True)
-class _Weighed:
-    """A contrast: weights of the voxels (N,), and the covariance of its noise between the regions (R, R)."""
-
-    weights: Array
-    noise: Array
-
-    @property
-    def sizes(self) -> Array:
-        """Standard deviation of its noise in every region (R,)."""
-        return np.sqrt(np.maximum(np.diag(self.noise), 0.0))
-
-
-@dataclass(frozen=True)
-class _Contrast(_Weighed):
+class _Contrast(Weighed):
     """A contrast along or about an axis and what it looks for: effects that add maps times their amplitude.
 
     Args:
@@ -162,7 +149,7 @@ class _Predicted:
         """
         voxels, courses = self.voxels, self.voxels.picture.courses
         weights = voxels.centred(self._seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
-        contrast = _Weighed(weights, voxels.picture.grain.between(weights))
+        contrast = Weighed(weights, voxels.picture.grain.between(weights))
         variation = Variation.of(voxels, [contrast])
         rows = [voxels.framed(weights, self._seen(width)[voxels.inside], courses) for width in _WIDTHS]
         patterns = [

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,14 +30,17 @@ _USUAL, _TRUST, _INDEPENDENT = 0.01, 4.0, 8.0
 _ROUNDS, _TINY = 60, 1e-9
 
 
-class Seen(Protocol):
-    """A contrast: its weights (N,), and the standard deviation of its noise in every region (R,)."""
+@dataclass(frozen=True)
+class Weighed:
+    """A contrast: weights of the voxels (N,), and the covariance of its noise between the regions (R, R)."""
+
+    weights: Array
+    noise: Array
 
     @property
-    def weights(self) -> Array: ...
-
-    @property
-    def sizes(self) -> Array: ...
+    def sizes(self) -> Array:
+        """Standard deviation of its noise in every region (R,)."""
+        return np.sqrt(np.maximum(np.diag(self.noise), 0.0))
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Variation:
     variance: Array
 
     @classmethod
-    def of(cls, voxels: Voxels, contrasts: Sequence[Seen]) -> Variation:
+    def of(cls, voxels: Voxels, contrasts: Sequence[Weighed]) -> Variation:
         """As far as such contrasts show it."""
         rng, cells = np.random.default_rng(0), _Cells.of(voxels)
         fields, waves = cells.waves(rng, _WAVES, _LENGTH_MM), cells.waves(rng, _DECOYS, _DECOY_MM)
@@ -132,7 +134,7 @@ class _Decoys:
     varied: Array
 
 
-def _decoys(voxels: Voxels, contrast: Seen, cells: _Cells, waves: Array, fields: Array) -> list[_Decoys]:
+def _decoys(voxels: Voxels, contrast: Weighed, cells: _Cells, waves: Array, fields: Array) -> list[_Decoys]:
     """Decoys of one contrast, region by region."""
     found = []
     for r, size in enumerate(contrast.sizes):

@@ -80,16 +80,17 @@ def detectability(simulator: RegionalSimulator, curves: np.ndarray, share: float
 
 
 @cache
-def case(seed: int, name: str = "", target: float = 0.0, noise: int = 0) -> Case:
+def case(seed: int, name: str = "", target: float = 0.0, noise: int = 0, onset: float | None = None) -> Case:
     rng = np.random.default_rng(7000 + seed)
     truth = scan.draw(rng)
     simulator = simulator_of(truth)
-    effects = {name: SINGLES.get(name, {})} if name else {}
+    asked = SINGLES.get(name, {}) | ({} if onset is None else {"onset": onset})
+    effects = {name: asked} if name else {}
     share = float(NOISES[noise]["share"])
     if name in SINGLES:
         weak = detectability(simulator, scan.curves(replace(truth, effects=effects)), share)
-        size = SINGLES[name]["size"] * target / weak
-        effects = {name: {**SINGLES[name], "size": min(size, 0.9) if name == "parent_fraction" else size}}
+        size = asked["size"] * target / weak
+        effects = {name: {**asked, "size": min(size, 0.9) if name == "parent_fraction" else size}}
     curves = scan.curves(replace(truth, effects=effects))
     data = scan.noisy(curves, rng, percent=PERCENT, **NOISES[noise])  # type: ignore[arg-type]
     candidates = hypotheses(EFFECTS, simulator, without=frozenset())
@@ -142,6 +143,14 @@ def test_strong_effects_are_named() -> None:
     found = [(name, case(20 * k + i, name, 12.0, i % 4)) for k in (1, 3, 4, 5, 6) for i, name in enumerate(NAMED)]
     assert all(c.answer.present for _, c in found)
     assert sum(named(c, name) for name, c in found) >= 30
+
+
+def test_a_scanner_that_changes_before_the_bolus_has_passed_is_named() -> None:
+    """A step of the gain at 3 min, of a scan of a short bolus: five of six, and in its minute."""
+    found = [case(60 + seed, "gain_step", 12.0, seed % 4, onset=3.0) for seed in range(6)]
+    right = [c for c in found if named(c, "gain_step")]
+    assert len(right) >= 5
+    assert all(abs(c.answer.onset - 3.0) < 1.0 for c in right if c.answer.onset is not None)
 
 
 @pytest.mark.parametrize("name", FLAGS)

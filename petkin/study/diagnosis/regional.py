@@ -44,8 +44,9 @@ _SCANNER_ONSETS, _TISSUE_ONSETS, _WITHIN = 40, 14, (0.25, 0.75)
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
 #: one effect. Set on training scans, of which it makes the truth likelier taken together.
 _BLUNDER = -3.0
-#: Onsets before this (min) would be told from blood and its delay by their timing alone.
-_BOLUS_PASSED = 5.0
+#: Onsets before this (min) would be told from blood and its delay by their timing alone; what happens to the scanner
+#: changes all that the regions hold, and may do so from the second of these on, where so many onsets are tried.
+_BOLUS_PASSED, _BOLUS_PAST_PEAK, _EARLY_ONSETS = 5.0, 2.0, 4
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
 _SCANNER, _KEPT = ("imaging", "noise"), 128
 
@@ -257,7 +258,7 @@ def effect_of(hypothesis: Hypothesis) -> Effect:
 def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     """An effect as a hypothesis about this simulator."""
     amplitude = effect.amplitude
-    first, last = _onset_bounds(simulator.clock)
+    first, last = _onset_bounds(simulator.clock, scanner=effect.stage in _SCANNER)
     shapes = [
         Shape(p.symbol, p.lower, p.upper, p.symbol in effect.regional)
         for p in effect.parameters
@@ -288,7 +289,8 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
     for parameter in effect.parameters.members[1:]:
         values = effect.grid.get(parameter.symbol, ())
         if parameter.symbol == "onset":
-            values = onsets(clock, _TISSUE_ONSETS if effect.stage == "tissue" else _SCANNER_ONSETS)
+            scanner = effect.stage in _SCANNER
+            values = onsets(clock, _SCANNER_ONSETS if scanner else _TISSUE_ONSETS, scanner=scanner)
         elif parameter.symbol == "frame":
             values = tuple(float(k) for k in range(len(clock.frames)))
         if values:
@@ -296,18 +298,27 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
     return tuple(found)
 
 
-def onsets(clock: FrameObservation, most: int, within: tuple[float, ...] = _WITHIN) -> tuple[float, ...]:
-    """Times at so many shares of every frame after the bolus has passed, before the middle of the last, thinned."""
+def onsets(
+    clock: FrameObservation, most: int, within: tuple[float, ...] = _WITHIN, *, scanner: bool
+) -> tuple[float, ...]:
+    """Times at so many shares of every frame after the bolus has passed, before the middle of the last, thinned; those
+    of the scanner begin earlier."""
     frames = clock.frames
     times = np.sort(np.concatenate([frames.start + share * frames.duration for share in within]))
-    first, last = _onset_bounds(clock)
-    times = times[(times > first) & (times < last)]
+    passed, last = _onset_bounds(clock, scanner=False)
+    first, _ = _onset_bounds(clock, scanner=scanner)
+    early, late = times[(times > first) & (times <= passed)], times[(times > passed) & (times < last)]
+    return (*_thinned(early, _EARLY_ONSETS), *_thinned(late, most))
+
+
+def _thinned(times: Array, most: int) -> tuple[float, ...]:
     return tuple(times[np.unique(np.linspace(0, times.size - 1, min(most, times.size)).round().astype(int))])
 
 
-def _onset_bounds(clock: FrameObservation) -> tuple[float, float]:
+def _onset_bounds(clock: FrameObservation, *, scanner: bool) -> tuple[float, float]:
     frames = clock.frames
-    return min(_BOLUS_PASSED, 0.1 * float(frames.end[-1])), float(frames.mid[-1])
+    first = _BOLUS_PAST_PEAK if scanner else _BOLUS_PASSED
+    return min(first, 0.1 * float(frames.end[-1])), float(frames.mid[-1])
 
 
 def hypotheses(

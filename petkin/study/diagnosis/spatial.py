@@ -248,5 +248,5 @@ def _courses(
         for begins, ends in _DRIFTS:
             yield {}, np.clip((passed - begins) / (ends - begins), 0.0, 1.0)
         return
-    for onset in onsets(simulator.clock, _ONSETS, _WITHIN):
+    for onset in onsets(simulator.clock, _ONSETS, _WITHIN, scanner=True):
         yield {"onset": onset}, after(simulator.clock, onset)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from petkin.diagnosis.covariance import Noise, inverse_root
+from petkin.diagnosis.covariance import Noise, across, inverse_root
 from petkin.diagnosis.noise import outlying, second_differences, size_and_share, without_jumps
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def noise_draws(
         likely: degrees of freedom of each channel's own, each in its share of the draws. What a sample has in common
             is normal: one that is off in all channels is a gap, not a tail.
         bases: what the flexible fit took from every channel (K, active).
-        level: typical size of the values in units of the spread (C,).
+        level: size of the values in units of the spread (C, K).
     """
     channels, samples = noise.spread.shape
     held = np.cumsum([*likely.values()])
@@ -80,7 +80,7 @@ def noise_draws(
     size, shares = size_and_share(left, degrees, bends, noise.size, level, factor=factor)
     relative = (size / noise.size)[..., None]
     mixing = inverse_root(channels, shares, noise.loaded(level, size))
-    white = np.einsum("bcd,bdk->bck", mixing, draws / relative).reshape(count, -1)
+    white = across(mixing, draws / relative).reshape(count, -1)
     return noise.settled(white + noise.erring(rng, count))
 
 

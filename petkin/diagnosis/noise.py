@@ -60,7 +60,7 @@ def without_jumps(values: Array) -> Array:
 
 def common_share(residuals: Array, load: Array | None = None) -> Array:
     """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs, or
-    their products between channels against what loads (..., C) make them."""
+    their products between channels against what loads (..., C, K) make them."""
     count = residuals.shape[-2]
     if count == 1:
         return np.zeros(residuals.shape[:-2])
@@ -72,12 +72,11 @@ def common_share(residuals: Array, load: Array | None = None) -> Array:
 
 
 def _loaded_share(residuals: Array, load: Array) -> Array:
-    scaled, squares = residuals * load[..., None], load**2
+    scaled, squares = residuals * load, load**2
     together = (scaled.sum(axis=-2) ** 2 - (scaled**2).sum(axis=-2)).mean(axis=-1)
-    most = squares.sum(axis=-1) ** 2 - (squares**2).sum(axis=-1)
+    most = (squares.sum(axis=-2) ** 2 - (squares**2).sum(axis=-2)).mean(axis=-1)
     alone = (residuals**2).mean(axis=(-2, -1))
-    largest = np.minimum(_MOST_FACTOR, _MOST_SHARED / squares.max(axis=-1))
-    return np.clip(together / np.maximum(alone * most, 1e-300), 0.0, largest)
+    return np.clip(together / np.maximum(alone * most, 1e-300), 0.0, _MOST_FACTOR)
 
 
 def outlying(residuals: Array) -> Array:
@@ -99,9 +98,8 @@ def outlying(residuals: Array) -> Array:
 
 
 def levels(values: Array, spread: Array) -> Array:
-    """Typical size of a channel's values in units of v, of the later half of its samples (C,)."""
-    late = values.shape[-1] // 2
-    found = np.median(np.abs(values[:, late:]) / spread[:, late:], axis=1)
+    """Size of values in units of v (C, K), above 0."""
+    found = np.abs(values) / spread
     return np.asarray(np.maximum(found, 1e-12 * max(float(found.max()), 1e-300)), np.float64)
 
 
@@ -115,7 +113,7 @@ def pooled(sizes: Array, freedom: Array, level: Array, *, factor: bool = False) 
     Args:
         sizes: each channel's own.
         freedom: degrees of freedom (C,).
-        level: typical size of the values in units of v (C,).
+        level: size of the values in units of v (C, K), which counts as it is in the later half of the samples.
         factor: whether what a sample has in common is a factor of its values.
 
     Reference: Efron B, Morris C. J Am Stat Assoc 1973;68:117-130 (sizes drawn to each other).
@@ -123,6 +121,7 @@ def pooled(sizes: Array, freedom: Array, level: Array, *, factor: bool = False) 
     if sizes.shape[-1] == 1:
         return sizes
     own = np.log(np.maximum(sizes, 1e-300) ** 2)
+    level = np.median(level[:, level.shape[1] // 2 :], axis=1)
     laws = [np.zeros_like(level), 2.0 * np.log(level)]
     if factor:
         laws += [np.log1p(kappa * level**2 / (level**2).mean()) for kappa in _FACTORS]
@@ -146,14 +145,15 @@ def size_and_share(
         freedom: its degrees of freedom (C,).
         bends: second differences of the simulator's residuals (..., C, K - 2).
         scale: of both, in units of v (C,).
-        level: typical size of the values in units of v (C,).
+        level: size of the values in units of v (C, K).
         factor: whether what a sample has in common is a factor of its values.
     """
     by_fit, by_bends = np.sqrt((loose**2).sum(axis=-1) / freedom), np.sqrt((bends**2).mean(axis=-1))
     fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
     size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level, factor=factor)
     relative, load = (size / scale)[..., None], loads(level, size) if factor else None
-    return size, np.where(fitted, common_share(loose / relative, load), common_share(bends / relative, load))
+    amid = None if load is None else load[..., 1:-1]
+    return size, np.where(fitted, common_share(loose / relative, load), common_share(bends / relative, amid))
 
 
 def first_floor(
@@ -171,7 +171,7 @@ def first_floor(
         residuals: of the simulator, in units of v (C, K).
         spread: v.
         flexible: as `from_flexible` gives it.
-        level: typical size of the values in units of v (C,).
+        level: size of the values in units of v (C, K).
         least: size below which the simulator's own numerical errors count (C,).
         factor: whether what a sample has in common is a factor of its values.
     """

@@ -29,7 +29,7 @@ from .decaying_channels import DecayingChannels
 @settings(max_examples=20, deadline=None)
 def test_whitening_undoes_the_common_share(share: float, count: int) -> None:
     covariance = (1 - share) * np.eye(count) + share
-    mixing = Noise(np.ones((count, 3)), np.ones(count), share).mixing
+    (mixing,) = Noise(np.ones((count, 3)), np.ones(count), share).mixing
     np.testing.assert_allclose(mixing @ covariance @ mixing.T, np.eye(count), atol=1e-10)
 
 
@@ -39,14 +39,14 @@ LOADS = np.array([1.4, 1.2, 1.0, 0.5, 0.5]) / np.sqrt(np.mean(np.square([1.4, 1.
 
 def test_whitening_undoes_a_factor_of_the_values() -> None:
     rng = np.random.default_rng(3)
-    noise = Noise(np.ones((5, 20000)), np.ones(5), 0.4, LOADS)
+    noise = Noise(np.ones((5, 20000)), np.ones(5), 0.4, LOADS[:, None])
     drawn = noise.mixed(rng.standard_normal((5, 20000)), rng.standard_normal((1, 20000)))
     np.testing.assert_allclose(np.cov(drawn), 0.4 * np.outer(LOADS, LOADS) + np.diag(1 - 0.4 * LOADS**2), atol=0.03)
     np.testing.assert_allclose(np.cov(noise.whiten(drawn).reshape(5, -1)), np.eye(5), atol=0.03)
     np.testing.assert_allclose(noise.coloured(noise.whiten(drawn)), drawn)
 
 
-@pytest.mark.parametrize("load", [None, np.ones(5), LOADS])
+@pytest.mark.parametrize("load", [None, np.ones((5, 1)), LOADS[:, None]])
 def test_common_share_is_recovered(load: np.ndarray | None) -> None:
     rng = np.random.default_rng(0)
     for share in (0.0, 0.3, 0.45):
@@ -58,14 +58,29 @@ def test_common_share_is_recovered(load: np.ndarray | None) -> None:
 def test_loads_of_one_are_no_loads() -> None:
     residuals = np.random.default_rng(4).standard_normal((7, 5, 30))
     shares = common_share(residuals)
-    np.testing.assert_allclose(common_share(residuals, np.ones((7, 5))), shares, atol=1e-12)
-    np.testing.assert_allclose(inverse_root(5, shares, np.ones((7, 5))), inverse_root(5, shares), atol=1e-10)
+    alike = np.ones((7, 5, 1))
+    np.testing.assert_allclose(common_share(residuals, alike), shares, atol=1e-12)
+    np.testing.assert_allclose(inverse_root(5, shares, alike), inverse_root(5, shares), atol=1e-10)
 
 
 def test_a_factor_of_the_values_weighs_less_in_noisier_channels() -> None:
-    found = loads(np.array([10.0, 10.0, 20.0]), np.array([1.0, 4.0, 2.0]))
-    np.testing.assert_allclose(found / found[0], [1.0, 0.25, 1.0])
-    assert np.mean(found**2) == pytest.approx(1.0)
+    found = loads(np.array([[10.0, 5.0], [10.0, 10.0], [20.0, 5.0]]), np.array([1.0, 4.0, 2.0]))
+    np.testing.assert_allclose(found / found[0], [[1.0, 1.0], [0.25, 0.5], [1.0, 0.5]])
+    np.testing.assert_allclose(np.mean(found**2, axis=0), 1.0)
+
+
+def test_a_factor_of_the_values_weighs_as_they_do_in_every_sample() -> None:
+    """Two channels that cross: whitened by their values at the time, a factor leaves nothing besides its own size."""
+    rng = np.random.default_rng(5)
+    values = np.stack([np.linspace(4.0, 0.5, 3000), np.linspace(0.5, 4.0, 3000), np.full(3000, 2.0)])
+    data = values * (1.0 + 0.4 * rng.standard_normal(3000)) + rng.standard_normal(values.shape)
+    load = loads(values, np.ones(3))
+    common = (0.4 * values) ** 2
+    size = np.sqrt(1.0 + common)
+    noise = Noise(size, np.ones(3), float((common / size**2).mean()), load)
+    white = noise.whiten(data - values).reshape(values.shape)
+    for part in (slice(0, 500), slice(2500, 3000)):
+        assert np.linalg.norm(np.cov(white[:, part]) - np.eye(3), 2) < 0.5
 
 
 def test_sizes_of_a_factor_are_drawn_to_its_law() -> None:
@@ -73,7 +88,7 @@ def test_sizes_of_a_factor_are_drawn_to_its_law() -> None:
     level, freedom = np.array([27.0, 18.0, 15.0, 5.0, 3.0]), np.full(5, 20.0)
     true = np.sqrt(1.0 + 3.0 * level**2 / np.mean(level**2))
     rough = true * np.exp(0.15 * np.random.default_rng(7).standard_normal((400, 5)))
-    error = [np.log(pooled(rough, freedom, level, factor=factor) / true).std() for factor in (True, False)]
+    error = [np.log(pooled(rough, freedom, level[:, None], factor=factor) / true).std() for factor in (True, False)]
     assert error[0] < 0.12
     assert error[0] < 0.8 * error[1]
 
@@ -169,7 +184,7 @@ def test_evidence_of_many_at_once_is_that_of_each() -> None:
 def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
     rng = np.random.default_rng(5)
     noise = Noise(np.ones((5, 36)), np.ones(5), 0.4)
-    draws = noise_draws(rng, 300, noise, {np.inf: 1.0}, [np.zeros((36, 0))] * 5, np.ones(5))
+    draws = noise_draws(rng, 300, noise, {np.inf: 1.0}, [np.zeros((36, 0))] * 5, np.ones((5, 1)))
     assert draws.shape == (300, 180)
     assert float((draws**2).mean()) == pytest.approx(1.0, abs=0.06)
 
@@ -187,7 +202,7 @@ def test_draws_have_each_tail_in_its_share() -> None:
     """Beyond four standard deviations lie 6e-5 of normal draws and 0.0056 of those with 5 degrees of freedom."""
     noise = Noise(np.ones((2, 40)), np.ones(2), 0.0)
     shares = {5.0: 0.25, np.inf: 0.75}
-    drawn = noise_draws(np.random.default_rng(8), 4000, noise, shares, [np.zeros((40, 0))] * 2, np.ones(2))
+    drawn = noise_draws(np.random.default_rng(8), 4000, noise, shares, [np.zeros((40, 0))] * 2, np.ones((2, 1)))
     beyond = (np.abs(drawn) > 4.0).mean(axis=1)
     assert beyond[:1000].mean() > 20 * beyond[1000:].mean()
     assert beyond[1000:].mean() < 3e-4
@@ -195,7 +210,7 @@ def test_draws_have_each_tail_in_its_share() -> None:
 
 def test_what_a_sample_has_in_common_is_normal_whatever_the_tails() -> None:
     noise = Noise(np.ones((4, 40)), np.ones(4), 0.9)
-    drawn = noise_draws(np.random.default_rng(9), 4000, noise, {3.5: 1.0}, [np.zeros((40, 0))] * 4, np.ones(4))
+    drawn = noise_draws(np.random.default_rng(9), 4000, noise, {3.5: 1.0}, [np.zeros((40, 0))] * 4, np.ones((4, 1)))
     together = drawn.reshape(4000, 4, 40).mean(axis=1)
     together /= together.std()
     assert (np.abs(together) > 5.0).mean() < 3e-5
@@ -226,18 +241,20 @@ def test_benjamini_hochberg_by_hand() -> None:
 def test_sizes_are_drawn_together_only_as_far_as_chance_could_part_them() -> None:
     freedom, level = np.full(4, 30.0), np.ones(4)
     alike, apart = np.array([0.95, 1.0, 1.05, 1.0]), np.array([0.2, 1.0, 3.0, 8.0])
-    assert np.ptp(pooled(alike, freedom, level)) < 1e-12
-    np.testing.assert_allclose(pooled(apart, freedom, level), apart, rtol=0.12)
-    np.testing.assert_allclose(pooled(7.0 * apart, freedom, level), 7.0 * pooled(apart, freedom, level))
-    assert pooled(np.array([2.0]), np.array([30.0]), np.ones(1)) == 2.0
+    assert np.ptp(pooled(alike, freedom, level[:, None])) < 1e-12
+    np.testing.assert_allclose(pooled(apart, freedom, level[:, None]), apart, rtol=0.12)
+    np.testing.assert_allclose(
+        pooled(7.0 * apart, freedom, level[:, None]), 7.0 * pooled(apart, freedom, level[:, None])
+    )
+    assert pooled(np.array([2.0]), np.array([30.0]), np.ones((1, 1))) == 2.0
 
 
 def test_sizes_are_drawn_to_one_share_of_the_values_where_that_is_what_they_are() -> None:
     freedom, level = np.full(4, 30.0), np.array([1.0, 2.0, 4.0, 8.0])
     alike = np.array([0.95, 1.0, 1.05, 1.0])
-    assert np.ptp(pooled(alike * level, freedom, level) / level) < 1e-12
+    assert np.ptp(pooled(alike * level, freedom, level[:, None]) / level) < 1e-12
     apart = alike * np.array([1.0, 3.0, 1.0, 9.0])
-    np.testing.assert_allclose(pooled(apart, freedom, level), apart, rtol=0.12)
+    np.testing.assert_allclose(pooled(apart, freedom, level[:, None]), apart, rtol=0.12)
 
 
 def test_a_quiet_channel_between_loud_ones_is_not_wild() -> None:
@@ -268,7 +285,8 @@ def test_no_more_than_a_share_is_taken_for_a_factor_in_common() -> None:
     """Gains of all channels at once would else be noise, however large."""
     load = np.array([1.2, 0.9, 0.8])
     gain = load[:, None] * np.sin(np.arange(400.0)) * np.sqrt(2.0)
-    assert float(common_share(gain + 0.1 * np.random.default_rng(0).standard_normal(gain.shape), load)) == 0.6
+    noise = 0.1 * np.random.default_rng(0).standard_normal(gain.shape)
+    assert float(common_share(gain + noise, load[:, None])) == 0.6
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from petkin_bench.withheld.cases import SPLITS
 from petkin_bench.withheld.causes import draw
-from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
+from petkin_bench.withheld.images.causes import ALIKE, KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES, VOXEL, draw_head
 from petkin_bench.withheld.images.strength import Filter, matched
 from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, pieces, retaken, taken
@@ -160,7 +160,7 @@ def _answer(scene: _Scene, kind: str, split: str, noise: str) -> tuple[_Scene, A
         made = _single(scene, choice, of_unknown=kind == "unknown")
     cause, columns = made.cause, _columns(made)
     names = (cause.name,) if cause.name else ()
-    same = _class(made, columns) if names else ()
+    same = _class(made, [*columns, *_columns(made, ALIKE)]) if names else ()
     drawn, frames = made.place.drawn, scene.scanned.subject.frames
     answer = ImageAnswer(
         kind=kind,
@@ -292,11 +292,11 @@ def _withheld_part(scene: _Scene) -> _Made:
     return _at_strength(make, 1.5, _target(scene)) or make(1.0)
 
 
-def _columns(made: _Made) -> list[tuple[str, Array]]:
-    """What the refit leaves of every catalogued effect at a weak size, along all axes and in all regions."""
+def _columns(made: _Made, causes: tuple[Cause, ...] = KNOWN) -> list[tuple[str, Array]]:
+    """What the refit leaves of catalogued effects at a weak size, along all axes and in all regions."""
     scanned = replace(made.scene.scanned, subject=made.fitted)
     plain, found = taken(scanned, varied=False), []
-    for cause in KNOWN:
+    for cause in causes:
         if not _possible(cause, made.scene):
             continue
         for place in _places(made, cause):

@@ -187,6 +187,8 @@ PLAIN: tuple[Cause, ...] = (
     ),
 )
 KNOWN = (*SPATIAL, *PLAIN)
+#: What is withheld from no image, but looks like what is: a clock that is off, and blood that comes late.
+ALIKE: tuple[Cause, ...] = tuple(_from_regions(c) for c in regional.KNOWN if c.name == "frame_offset")
 
 #: The same effects in another form: seen in training, and kept for the score.
 OTHER_FORMS: dict[str, tuple[Cause, ...]] = {

@@ -187,8 +187,10 @@ PLAIN: tuple[Cause, ...] = (
     ),
 )
 KNOWN = (*SPATIAL, *PLAIN)
-#: What is withheld from no image, but looks like what is: a clock that is off, and blood that comes late.
-ALIKE: tuple[Cause, ...] = tuple(_from_regions(c) for c in regional.KNOWN if c.name == "frame_offset")
+#: What is withheld from no image, but may look like what is: a clock that is off like late blood, a bias like randoms.
+ALIKE: tuple[Cause, ...] = tuple(
+    _from_regions(c) for c in regional.KNOWN if not c.flag and c.name not in {known.name for known in KNOWN}
+)
 
 #: The same effects in another form: seen in training, and kept for the score.
 OTHER_FORMS: dict[str, tuple[Cause, ...]] = {

@@ -82,7 +82,7 @@ def test_without_errors_nothing_changes() -> None:
 
 def test_draws_hold_errors_as_large_as_they_may_be() -> None:
     given = noise(np.random.default_rng(4))
-    drawn = noise_draws(np.random.default_rng(5), 4000, given, {np.inf: 1.0}, [np.zeros((20, 0))] * 3, np.ones(3))
+    drawn = noise_draws(np.random.default_rng(5), 4000, given, {np.inf: 1.0}, [np.zeros((20, 0))] * 3, np.ones((3, 1)))
     along = drawn @ given._errors[0]
     np.testing.assert_allclose(along.std(axis=0), 1.0, atol=0.1)
 

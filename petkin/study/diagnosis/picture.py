@@ -22,6 +22,8 @@ _RIM_MM = (6.0, 18.0)
 _RANK = 4
 #: Voxels beside the labels that a slope needs.
 BESIDE = 2
+#: A mixture of the regions' curves that is always there may be so many times as large as what the image shows.
+_MIXED = 1.2
 #: A frame that holds less than this share of what is predicted is compared as it is.
 _FAINT = 0.3
 
@@ -195,7 +197,7 @@ class Voxels:
         the image shows.
         """
         held = self.over_regions(weights[:, None] * self.seen)
-        share = float(np.sqrt((held**2).sum(axis=1).mean()))
+        share = _MIXED * float(np.sqrt((held**2).sum(axis=1).mean()))
         columns = np.zeros((len(held), held.shape[1], *self.spread.shape))
         for r in range(len(held)):
             columns[r, :, r] = self.mixed(share, r).T

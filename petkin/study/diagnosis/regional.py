@@ -16,6 +16,7 @@ from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vess
 from petkin.imaging import CountingNoise, FrameObservation
 from petkin.inputs import InputFunction
 from petkin.kinetics import compartment_model
+from petkin.study.diagnosis.onsets import onset_bounds, onsets
 from petkin.units import SECONDS_PER_MINUTE
 
 Array = NDArray[np.float64]
@@ -38,15 +39,11 @@ _LADDER = np.concatenate([[0.0], np.geomspace(1e-3, 6.0, 27)])
 _OWN = {"blood_volume": "vB", "vascular_trapping": "Kb"}
 #: Relative error of predictions: of the table of responses, and of blood read as straight lines between samples.
 _ACCURACY = 5e-4
-#: Onsets tried: so many for the scanner, so many for the tissue; at which shares of a frame, none of them between two
-#: frames, where a refit that began there would stand on a kink.
-_SCANNER_ONSETS, _TISSUE_ONSETS, _WITHIN = 40, 14, (0.25, 0.75)
+#: Onsets tried: so many for the scanner, so many for the tissue.
+_SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
 #: one effect. Set on training scans, of which it makes the truth likelier taken together.
 _BLUNDER = -3.0
-#: Onsets before this (min) would be told from blood and its delay by their timing alone; what happens to the scanner
-#: changes all that the regions hold, and may do so from the second of these on, where so many onsets are tried.
-_BOLUS_PASSED, _BOLUS_PAST_PEAK, _EARLY_ONSETS = 5.0, 2.0, 4
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
 _SCANNER, _KEPT = ("imaging", "noise"), 128
 
@@ -258,7 +255,7 @@ def effect_of(hypothesis: Hypothesis) -> Effect:
 def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     """An effect as a hypothesis about this simulator."""
     amplitude = effect.amplitude
-    first, last = _onset_bounds(simulator.clock, scanner=effect.stage in _SCANNER)
+    first, last = onset_bounds(simulator.clock, scanner=effect.stage in _SCANNER)
     shapes = [
         Shape(p.symbol, p.lower, p.upper, p.symbol in effect.regional)
         for p in effect.parameters
@@ -296,29 +293,6 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
         if values:
             found = [{**setting, parameter.symbol: float(v)} for setting in found for v in values]
     return tuple(found)
-
-
-def onsets(
-    clock: FrameObservation, most: int, within: tuple[float, ...] = _WITHIN, *, scanner: bool
-) -> tuple[float, ...]:
-    """Times at so many shares of every frame after the bolus has passed, before the middle of the last, thinned; those
-    of the scanner begin earlier."""
-    frames = clock.frames
-    times = np.sort(np.concatenate([frames.start + share * frames.duration for share in within]))
-    passed, last = _onset_bounds(clock, scanner=False)
-    first, _ = _onset_bounds(clock, scanner=scanner)
-    early, late = times[(times > first) & (times <= passed)], times[(times > passed) & (times < last)]
-    return (*_thinned(early, _EARLY_ONSETS), *_thinned(late, most))
-
-
-def _thinned(times: Array, most: int) -> tuple[float, ...]:
-    return tuple(times[np.unique(np.linspace(0, times.size - 1, min(most, times.size)).round().astype(int))])
-
-
-def _onset_bounds(clock: FrameObservation, *, scanner: bool) -> tuple[float, float]:
-    frames = clock.frames
-    first = _BOLUS_PAST_PEAK if scanner else _BOLUS_PASSED
-    return min(first, 0.1 * float(frames.end[-1])), float(frames.mid[-1])
 
 
 def hypotheses(

@@ -25,8 +25,9 @@ from petkin.diagnosis import Contrasted, Family, Pattern, judge_contrasts
 from petkin.effects.imaging import after
 from petkin.imaging import FrameSchedule, blur
 from petkin.study.diagnosis.fields import departures
+from petkin.study.diagnosis.onsets import onsets
 from petkin.study.diagnosis.picture import BESIDE, Voxels
-from petkin.study.diagnosis.regional import RegionalSimulator, onsets
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.variation import Variation, Weighed
 
 Array = NDArray[np.float64]

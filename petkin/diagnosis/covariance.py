@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: The largest q^2: no channel's noise is all in common.
-_MOST = 0.9
+#: The largest rho, and q^2: no channel's noise is all in common.
+MOST_SHARED = 0.9
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def loads(level: Array, size: Array) -> Array:
 
 def in_common(share: Array, load: Array) -> Array:
     """q^2 (..., C, K) of a share (...) and loads (..., C, K)."""
-    return np.minimum(share[..., None, None] * load**2, _MOST)
+    return np.minimum(share[..., None, None] * load**2, MOST_SHARED)
 
 
 def across(mixing: Array, values: Array) -> Array:

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from petkin.diagnosis.covariance import Noise, loads
+from petkin.diagnosis.covariance import MOST_SHARED, Noise, loads
 
 Array = NDArray[np.float64]
 
 #: Values beyond three times their median size, two standard deviations, are cut; what that takes from normal ones.
 _JUMP, _CUT = 3.0, 0.957
-#: The largest share in common; where it is a factor of values, which gains of all channels are too, the largest share
-#: and the variances in common over those of channels' own that are tried.
-_MOST_SHARED, _MOST_FACTOR, _FACTORS = 0.9, 0.6, np.geomspace(0.05, 2.5, 10)
+#: Where what samples have in common is a factor of values, which gains of all channels are too, the largest share, and
+#: the variances in common over those of channels' own that are tried.
+_MOST_FACTOR, _FACTORS = 0.6, np.geomspace(0.05, 2.5, 10)
 #: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
@@ -68,7 +68,7 @@ def common_share(residuals: Array, load: Array | None = None) -> Array:
         return _loaded_share(residuals, load)
     together = (residuals.mean(axis=-2) ** 2).mean(axis=-1)
     alone = (residuals**2).mean(axis=(-2, -1))
-    return np.clip((count * together / np.maximum(alone, 1e-300) - 1.0) / (count - 1.0), 0.0, _MOST_SHARED)
+    return np.clip((count * together / np.maximum(alone, 1e-300) - 1.0) / (count - 1.0), 0.0, MOST_SHARED)
 
 
 def _loaded_share(residuals: Array, load: Array) -> Array:

@@ -80,7 +80,7 @@ def test_a_factor_of_the_values_weighs_as_they_do_in_every_sample() -> None:
     noise = Noise(size, np.ones(3), float((common / size**2).mean()), load)
     white = noise.whiten(data - values).reshape(values.shape)
     for part in (slice(0, 500), slice(2500, 3000)):
-        assert np.linalg.norm(np.cov(white[:, part]) - np.eye(3), 2) < 0.5
+        assert np.linalg.norm(np.cov(white[:, part]) - np.eye(3), 2) < 0.25
 
 
 def test_sizes_of_a_factor_are_drawn_to_its_law() -> None:

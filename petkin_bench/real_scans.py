@@ -35,7 +35,9 @@ from petkin_bench.withheld.ablations import PARTS, without
 Array = NDArray[np.float64]
 
 #: What the simulator has besides two tissue compartments where nothing is withheld.
-FULL = ("blood_volume", "arterial_delay", "vascular_trapping")
+FULL = ("blood_volume", "arterial_delay", "vascular_trapping", "vascular_release")
+#: What else goes where an effect is withheld: there is nothing to return where nothing is trapped.
+_WITH = {"vascular_trapping": ("vascular_release",)}
 #: Sizes of the blunders: a gain step and the excess of one frame, relative; a clock that is off, s.
 _STEP, _EXCESS, _LATE_S = 0.10, 0.20, 10.0
 #: An erring record keeps at least this share of what it holds.
@@ -78,8 +80,9 @@ class _Recording:
     blood: str
 
     def cut(self, effect: str) -> RegionalSimulator:
-        """The full simulator without an effect."""
-        return replace(self.full, includes=tuple(e for e in self.full.includes if e.name != effect))
+        """The full simulator without an effect, and without what is nothing without it."""
+        gone = (effect, *_WITH.get(effect, ()))
+        return replace(self.full, includes=tuple(e for e in self.full.includes if e.name not in gone))
 
 
 def measure_real(
@@ -141,7 +144,7 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
         exact = replace(scan.full, errors=np.zeros((0, scan.full.nodes.size)))
         yield Case("twin", "erring_record_as_exact", (), erring, exact)
     yield Case("withheld", "nothing", (), values, scan.full)
-    for name in ("blood_volume", "vascular_trapping"):
+    for name in ("blood_volume", "vascular_trapping", "vascular_release"):
         yield Case("withheld", name, (name,), values, scan.cut(name), rival)
     yield Case("withheld", "second_tissue", ("second_tissue",), values, scan.one_tissue, rival)
     record = scan.full.input

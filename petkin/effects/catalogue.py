@@ -15,6 +15,7 @@ EFFECTS: tuple[Effect, ...] = (
     input.INPUT_PARTIAL_VOLUME,
     vascular.BLOOD_VOLUME_EFFECT,
     vascular.VASCULAR_TRAPPING,
+    vascular.VASCULAR_RELEASE,
     tissue.SECOND_TISSUE,
     tissue.TISSUE_METABOLITE,
     tissue.TISSUE_HETEROGENEITY,

@@ -79,11 +79,13 @@ class Vessels:
     Args:
         volume: vB, the share of each region that is blood (regions,).
         trapping: Kb, at which the walls of the vessels trap, 1/min.
+        release: kr, at which they let go again, 1/min.
         lining: share of the region whose walls trap; None is vB.
     """
 
     volume: Any
     trapping: Any = 0.0
+    release: Any = 0.0
     lining: float | None = None
 
 
@@ -153,7 +155,7 @@ class ForwardModel:
         values = (1.0 - vB)[..., None] * self.tissue.values(self, seen) + vB[..., None] * seen.blood
         if present(self.vascular.trapping):
             lining = vB if self.vascular.lining is None else 0.0 * vB + self.vascular.lining
-            values = values + (lining * self.vascular.trapping)[..., None] * seen.blood_area
+            values = values + (lining * self.vascular.trapping)[..., None] * seen.trapped(self.vascular.release)
         return values
 
     def shown(self, values: Any) -> Any:

@@ -1,6 +1,6 @@
 """What frames report of the pieces that every tissue curve is made of: exactly, or from a table for many curves.
 
-    plasma(a):  e^{-a t} * C_P        blood:  C_B        blood_area:  int_0^t C_B
+    plasma(a):  e^{-a t} * C_P        blood:  C_B        trapped(a):  e^{-a t} * C_B
 
 The table is for a diagnosis, which asks for thousands of curves under many inputs: everything is marched once along
 the nodes of the input, for a hundred rates; a delay then only moves the frame edges, and any rate is read by a spline.
@@ -49,9 +49,8 @@ class Responses(Protocol):
         """Of C_B, (K,)."""
         ...
 
-    @property
-    def blood_area(self) -> Any:
-        """Of int_0^t C_B, (K,), min kBq/mL."""
+    def trapped(self, rates: Any) -> Any:
+        """Of e^{-a t} * C_B, min kBq/mL: what vessel walls keep; at a = 0 the area under the blood."""
         ...
 
 
@@ -80,9 +79,8 @@ class Exact:
     def blood(self) -> torch.Tensor:
         return torch.as_tensor(self.clock.of_forcing(self.input.whole_blood))
 
-    @property
-    def blood_area(self) -> torch.Tensor:
-        return self.clock.of_response(self.input.whole_blood, torch.zeros((), dtype=torch.float64))
+    def trapped(self, rates: Any) -> torch.Tensor:
+        return self.clock.of_response(self.input.whole_blood, torch.as_tensor(rates, dtype=torch.float64))
 
 
 class Tabulated:
@@ -103,8 +101,15 @@ class Tabulated:
         return _march(*_unshifted(self._input.whole_blood), self._clock.decay, self._nodes).frames(self._clock, None)
 
     @cached_property
-    def blood_area(self) -> Array:
+    def _blood_area(self) -> Array:
         return self._frames(self._input.whole_blood, _RATES[:1])[0]
+
+    @cached_property
+    def _kept(self) -> Array:
+        return self._frames(self._input.whole_blood, _RATES)
+
+    def trapped(self, rates: Any) -> Array:
+        return _between(rates, self._kept) if np.any(rates) else self._blood_area
 
     @cached_property
     def _total(self) -> Array | None:

@@ -29,6 +29,19 @@ def test_trapping_is_told_from_a_few_rivals(shared_data: Path) -> None:
     assert (row["scans"], row["alarms"], row["leads"]) == (2, 2, 2)
 
 
+def test_what_these_walls_trap_returns(shared_data: Path) -> None:
+    """Said of three of these six scans."""
+    subjects = ("cgyu", "flfp", "jdcs")
+    rows = measure_real(shared_data / "pbr28", subjects=subjects, only=("vascular_release",), blood="fitted")
+    assert sum(bool(row["first"]) for row in rows) >= 3
+    assert {str(row["simulator"]).split()[-1] for row in rows} == {"vascular_trapping"}
+
+
+def test_a_simulator_that_traps_nothing_has_nothing_to_return(shared_data: Path) -> None:
+    rows = measure_real(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",))
+    assert {str(row["simulator"]) for row in rows} == {"2TCM blood_volume arterial_delay"}
+
+
 def test_a_record_that_errs_is_a_gap_only_where_it_is_taken_as_exact(shared_data: Path) -> None:
     cases = ("erring_record", "erring_record_as_exact")
     rows = [

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from petkin.diagnosis import diagnose
@@ -16,14 +17,16 @@ from petkin.effects import EFFECTS, effect_named
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS, prepared, sources_of
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
-from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.request import FITTED, RECORDED, DiagnoseRequest
 
 SUBJECTS = ("cgyu", "flfp")
 SCANS = 4
 
 
-def scans(folder: Path, model: str, *include: str) -> list[tuple[RegionalCurves, RegionalSimulator]]:
-    request = DiagnoseRequest(folder / "pbr28", model=model, include=include, subjects=SUBJECTS, seg="rois")
+def scans(
+    folder: Path, model: str, *include: str, subjects: tuple[str, ...] = SUBJECTS, blood: str = RECORDED
+) -> list[tuple[RegionalCurves, RegionalSimulator]]:
+    request = DiagnoseRequest(folder / "pbr28", model, include, subjects=subjects, seg="rois", blood=blood)
     return [prepared(source, request) for source in sources_of(request)[2]]
 
 
@@ -50,6 +53,26 @@ def test_a_clock_ten_seconds_off(shared_data: Path) -> None:
         late = replace(simulator, input=simulator.input.delayed((seconds + 10.0) / 60.0))
         found += bool({"arterial_delay", "frame_offset"} & names_in_set(curves, late))
     assert found == pytest.approx(SCANS)
+
+
+def test_what_is_trapped_and_returns_is_told_from_what_stays(shared_data: Path) -> None:
+    """Curves of two fits of a scan, with noise as it has: walls that let go, and walls that do not."""
+    walls = ("blood_volume", "arterial_delay", "vascular_trapping")
+    kept = scans(shared_data, "2tcm", *walls, "vascular_release", subjects=("jdcs",), blood=FITTED)
+    for curves, leaking in kept:
+        tight = replace(leaking, includes=tuple(effect_named(name) for name in walls))
+        candidates = hypotheses(EFFECTS, tight, without=frozenset())
+        rng = np.random.default_rng(1)
+        for simulator, returns in ((leaking, True), (tight, False)):
+            fit, noise, *_ = base_fit(simulator, curves.values)
+            drawn = noise.coloured(rng.standard_normal(fit.values.size))
+            answer = diagnose(tight, fit.values + drawn, candidates)
+            assert answer.chosen == (("vascular_release",) if returns else ())
+            if returns:
+                released = answer.causes[0].estimates[0]
+                kr = 0.1 * float(fit.state.shared[leaking.shared.symbols.index("vascular_release")])
+                assert 0.02 < kr < 0.05
+                assert released.low < kr < released.high
 
 
 def test_a_parent_fraction_measured_with_care_is_seldom_far_off(shared_data: Path) -> None:

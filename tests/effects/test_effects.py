@@ -40,6 +40,10 @@ CONTRACT = {
     "decay_not_applied",
     "noise": "noise_variance nonnegativity_bias",
 }
+#: Names that are ours.
+BEYOND = {"vascular": "vascular_release"}
+#: Parameters that are zero unless they are given: everywhere, for ever.
+IDLE = ("region", "kr")
 LAMBDA = math.log(2) / 109.77
 
 
@@ -71,20 +75,21 @@ def frame_means(model: ForwardModel, curve) -> np.ndarray:
     return np.array(out)
 
 
-def test_names_and_stages_are_the_contracted_ones() -> None:
+def test_names_and_stages_are_the_contracted_ones_and_ours() -> None:
     assert {stage: {e.name for e in EFFECTS if e.stage == stage} for stage in STAGES} == {
-        stage: set(names.split()) for stage, names in CONTRACT.items()
+        stage: {*names.split(), *BEYOND.get(stage, "").split()} for stage, names in CONTRACT.items()
     }
 
 
 def able(effect: Effect, model: ForwardModel) -> ForwardModel:
-    """The model with what the effect needs: vessels, metabolites, binding sites."""
+    """The model with what the effect needs: vessels, metabolites, walls that trap, binding sites."""
     fraction = PiecewiseLinear(column(0.0, 3.0, 12.0), column(1.0, 0.6, 0.2))
     vessels, arterial = Vessels(column(0.05, 0.04)), dataclasses.replace(model.input, parent_fraction=fraction)
     model = dataclasses.replace(
         model, vascular=vessels, input=dataclasses.replace(arterial, total_plasma=_twice(model))
     )
-    return model if effect.suits(model) else effect_named("second_tissue").inject(model)
+    ready = (model, *(effect_named(needed).inject(model) for needed in ("vascular_trapping", "second_tissue")))
+    return next(each for each in ready if effect.suits(each))
 
 
 def _twice(model: ForwardModel):
@@ -118,7 +123,7 @@ def test_an_effect_is_fully_described(effect: Effect) -> None:
         assert parameter.lower <= parameter.start <= parameter.upper
         assert math.isfinite(parameter.lower)
         assert math.isfinite(parameter.upper)
-        assert parameter.start != 0 or parameter.symbol == "region"
+        assert parameter.start != 0 or parameter.symbol in IDLE
 
 
 @pytest.mark.parametrize(
@@ -241,6 +246,34 @@ def test_blood_volume_is_the_share_of_blood(one_tissue: ForwardModel) -> None:
     blood = frame_means(one_tissue, lambda t: float(feng_plasma(onset=0.5)(column(t))))
     expected = 0.92 * one_tissue.frame_values().numpy() + 0.08 * blood
     np.testing.assert_allclose(filled.frame_values().numpy(), expected, rtol=1e-6, atol=1e-8)
+
+
+def test_walls_trap_and_let_go_as_their_equation_says(one_tissue: ForwardModel) -> None:
+    """dC_W/dt = vB Kb C_B - kr C_W; what is never let go is vB Kb times the area under the blood."""
+    base = dataclasses.replace(one_tissue, vascular=Vessels(column(0.05, 0.04)))
+    plasma, end = feng_plasma(onset=0.5), float(base.clock.frames.end[-1])
+    trapping = effect_named("vascular_trapping").inject(base, {"Kb": 0.3})
+    for kr in (0.0, 0.04):
+        solution = solve_ivp(
+            lambda t, c, kr=kr: [0.05 * 0.3 * float(plasma(column(t))) - kr * c[0]],
+            (0.5, end), [0.0], rtol=1e-9, atol=1e-9, dense_output=True, max_step=0.25,
+        )  # fmt: skip
+        wall = frame_means(base, lambda t, solution=solution: float(solution.sol(t)[0]) if t > 0.5 else 0.0)
+        for walled in (
+            effect_named("vascular_trapping").inject(base, {"Kb": 0.3, "kr": kr}),
+            effect_named("vascular_release").inject(trapping, {"kr": kr}),
+        ):
+            added = (walled.frame_values() - base.frame_values())[0].numpy()
+            np.testing.assert_allclose(added, wall, rtol=1e-5, atol=1e-7)
+
+
+def test_walls_let_go_only_what_they_trap(one_tissue: ForwardModel) -> None:
+    with pytest.raises(InputError, match="no vessel wall traps anything here; vascular_trapping must come before it"):
+        effect_named("vascular_release").inject(one_tissue)
+    trapping = effect_named("vascular_trapping").inject(one_tissue)
+    for name in ("vascular_trapping", "vascular_release"):
+        with pytest.raises(InputError, match=r"kr=-0\.01: a rate constant is never negative"):
+            effect_named(name).inject(trapping, {"kr": -0.01})
 
 
 def test_second_tissue_is_the_two_tissue_model(one_tissue: ForwardModel) -> None:

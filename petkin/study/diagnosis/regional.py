@@ -44,6 +44,8 @@ _SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
 #: one effect. Set on training scans, of which it makes the truth likelier taken together.
 _BLUNDER = -3.0
+#: A rate that may be zero is looked for from this share of the end of its range on.
+_SLOWEST = 0.005
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
 _SCANNER, _KEPT = ("imaging", "noise"), 128
 
@@ -163,7 +165,8 @@ class RegionalSimulator:
             if effect.flag:
                 model = effect.inject(model)
         for effect, amount in zip(self._shared_effects, shared):
-            model = effect.inject(model, {effect.amplitude.symbol: amount * width(effect)})
+            least = -np.inf if effect.amplitude.lower < 0 else 0.0
+            model = effect.inject(model, {effect.amplitude.symbol: max(amount * width(effect), least)})
         return model
 
     def _responses(self, model: ForwardModel, shared: Array, terms: tuple[Term, ...]) -> Tabulated:
@@ -215,7 +218,7 @@ class RegionalSimulator:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""
         own = np.tile(self.own.mean, (len(self.channels), 1))
         seen = self._responses(self.model(own, shared), shared, ())
-        return np.concatenate([seen.plasma(_LADDER), seen.blood[None], seen.blood_area[None]])
+        return np.concatenate([seen.plasma(_LADDER), seen.blood[None], seen.trapped(0.0)[None]])
 
 
 def _place(own: Array, shared: Array) -> tuple[Any, ...]:
@@ -257,7 +260,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     amplitude = effect.amplitude
     first, last = onset_bounds(simulator.clock, scanner=effect.stage in _SCANNER)
     shapes = [
-        Shape(p.symbol, p.lower, p.upper, p.symbol in effect.regional)
+        Shape(p.symbol, p.lower or _SLOWEST * p.upper, p.upper, p.symbol in effect.regional)
         for p in effect.parameters
         if p.symbol in effect.grid
     ]

@@ -98,12 +98,13 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
 
 
 def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
-    from petkin_bench.withheld.images.cases import image_case
+    from petkin_bench.withheld.images.cases import made_case
     from petkin_bench.withheld.images.judge import verdict
+    from petkin_bench.withheld.images.reader import ideal
 
-    scan, truth = image_case(plan.split, plan.seed, index)
+    scan, truth, made = made_case(plan.split, plan.seed, index)
     answer = {"index": index} | row_of(truth) | {"size": round(truth.size, 4), "width": truth.width}
-    return answer, _sealed(answer) | verdict(scan, seed=index)
+    return answer, _sealed(answer) | verdict(scan, seed=index) | ideal(truth, made, seed=index)
 
 
 def _sealed(answer: dict[str, object]) -> dict[str, object]:

@@ -142,14 +142,14 @@ def _by_strength(single: Sequence[Judged]) -> list[Metric]:
         found += [
             _share(f"gap claimed, {name}", (c.claimed for c in part)),
             Metric(f"matched filter, {name}", ceiling, len(part)),
-            _ideal(f"must find settings, {name}", part, "ideal"),
-            _ideal(f"must find settings and claim, {name}", part, "ideal_claimed"),
+            of_reader(f"must find settings, {name}", part, "ideal"),
+            of_reader(f"must find settings and claim, {name}", part, "ideal_claimed"),
             _share(f"class first, {name}", (c.right for c in part), ceiling - allowed),
         ]
     return found
 
 
-def _ideal(name: str, part: Sequence[Judged], cell: str) -> Metric:
+def of_reader(name: str, part: Sequence[Judged], cell: str) -> Metric:
     """Mean of what a reader told all but the settings would name, where one was asked."""
     told = [float(c.cells[cell]) for c in part if c.cells.get(cell)]
     return Metric(name, float(np.mean(told)) if told else float("nan"), len(told))

@@ -16,9 +16,10 @@ from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images import cases
 from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES, Head, Pose, draw_head, painted
+from petkin_bench.withheld.images.reader import ideal
 from petkin_bench.withheld.images.score import image_metrics
 from petkin_bench.withheld.images.study import write_study
-from petkin_bench.withheld.images.taking import Scanned, grain, means, spread_out, taken
+from petkin_bench.withheld.images.taking import AS_ALWAYS, Scanned, grain, means, spread_out, taken
 from petkin_bench.withheld.score import Judged
 from petkin_bench.withheld.subject import Frames, draw_subject
 
@@ -121,6 +122,32 @@ def test_an_edge_that_no_label_tells_hides_small_motion(scanned: Scanned) -> Non
     drift = next(c for c in KNOWN if c.name == "motion_drift")
     place = Place(draw(rng, scanned.subject), 1, scanned.head)
     assert cases._made(scene, drift, place, 0.1).detectability < 2.0
+
+
+def test_a_delay_that_the_simulator_lacks_is_not_refitted(scanned: Scanned) -> None:
+    late = replace(scanned, subject=replace(scanned.subject, delay=0.1))
+    place = Place(draw(np.random.default_rng(1), late.subject), 0, late.head)
+    cause = cases.Cause("arterial_delay", "input", lambda size, place: AS_ALWAYS, 1.5, spatial=False)
+
+    def visible(simulator: cases.Simulator) -> float:
+        scene = cases._Scene(np.random.default_rng(1), late, simulator, 8.0, 0.0, 0)
+        return cases._made(scene, cause, place, 1.0, AS_ALWAYS).detectability
+
+    assert visible(cases.Simulator(delay=False)) > 5.0 > 0.1 > visible(cases.Simulator())
+
+
+def test_a_reader_names_what_is_strong_and_is_asked_of_names_alone() -> None:
+    told = [(answer, ideal(answer, made, seed=1)) for _, answer, made in map(_made_case, (0, 3, 10, 18, 57))]
+    shares = [(a.detectability, float(str(r["ideal"])), float(str(r["ideal_claimed"]))) for a, r in told if a.names]
+    assert {a.kind for a, r in told if r["ideal"] == ""} <= {"none", "unknown"}
+    assert len(shares) >= 3
+    for strength, right, claimed in shares:
+        assert 0.2 < claimed <= right <= 1.0
+        assert strength < 8.0 or right > 0.95
+
+
+def _made_case(index: int) -> tuple[cases.ImageScan, cases.ImageAnswer, cases.Made | None]:
+    return cases.made_case("training", 68, index)
 
 
 def test_a_case_follows_from_its_numbers_and_is_a_study(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,8 @@ _PERCENT = (8.0, 15.0)
 #: How often a part of the simulator is withheld in place of a plain cause.
 _PARTS = 0.45
 _TRIES, _CLOSE, _SAME, _FILTERED = 40, 0.1, 0.95, 400
+#: Share of a cause's largest size at which columns are taken: what is weak is linear.
+WEAK = 0.15
 #: What sets image cases apart from regional ones of the same seed.
 _STREAM = 7
 
@@ -97,7 +99,7 @@ class _Scene:
 
 
 @dataclass(frozen=True)
-class _Made:
+class Made:
     """A cause at its size: the picture with it, and what a refit leaves of it."""
 
     cause: Cause
@@ -110,16 +112,28 @@ class _Made:
     left: Array
     detectability: float
 
+    @property
+    def of_simulator(self) -> bool:
+        """Whether the cause is a part that the simulator lacks."""
+        return self.scene.simulator != Simulator()
+
 
 def image_case(split: str, seed: int, index: int) -> tuple[ImageScan, ImageAnswer]:
     """One case; the same arguments give the same bytes."""
+    return made_case(split, seed, index)[:2]
+
+
+def made_case(split: str, seed: int, index: int) -> tuple[ImageScan, ImageAnswer, Made | None]:
+    """The same with the cause at its size, None where nothing is withheld."""
     rng = np.random.default_rng([SPLITS[split], seed, index, _STREAM])
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     noise = str(rng.choice(list(KINDS)))
     share, freedom = KINDS[noise]
     scanned = Scanned(draw_head(rng), _subject(rng), float(rng.choice(_WIDTHS)))
     scene = _Scene(rng, scanned, Simulator(), float(rng.choice(_PERCENT)), share, freedom)
-    scene, image, answer = _answer(scene, kind, split, noise)
+    made = None if kind == "none" else _withheld(scene, kind, split)
+    scene, image = (scene, taken(scanned)) if made is None else (made.scene, made.image)
+    answer = _answer(scene, kind, noise, made)
     noisy = scene.grain(image).drawn(image, rng)
     simulator, subject = scene.simulator, scene.scanned.subject
     parts = (
@@ -138,7 +152,7 @@ def image_case(split: str, seed: int, index: int) -> tuple[ImageScan, ImageAnswe
         model="2tcm" if simulator.second_tissue else "1tcm",
         includes=tuple(name for name, there in parts if there),
     )
-    return scan, answer
+    return scan, answer, made
 
 
 def _subject(rng: np.random.Generator) -> Subject:
@@ -148,21 +162,22 @@ def _subject(rng: np.random.Generator) -> Subject:
     return replace(subject, frames=Frames(edges[:-1], edges[1:], subject.frames.decay))
 
 
-def _answer(scene: _Scene, kind: str, split: str, noise: str) -> tuple[_Scene, Array, ImageAnswer]:
-    width = scene.scanned.width
-    if kind == "none":
-        image = taken(scene.scanned)
-        return scene, image, ImageAnswer(kind, noise, scene.percent, (), (), (), 0, 0, 0, -1, -1, 0, width)
+def _withheld(scene: _Scene, kind: str, split: str) -> Made:
     if kind == "plain" and scene.rng.random() < _PARTS:
-        made = _withheld_part(scene)
-    else:
-        choice = {"known": SPATIAL, "other form": OTHER_FORMS[split], "plain": PLAIN, "unknown": UNKNOWN[split]}[kind]
-        made = _single(scene, choice, of_unknown=kind == "unknown")
+        return _withheld_part(scene)
+    choice = {"known": SPATIAL, "other form": OTHER_FORMS[split], "plain": PLAIN, "unknown": UNKNOWN[split]}[kind]
+    return _single(scene, choice, of_unknown=kind == "unknown")
+
+
+def _answer(scene: _Scene, kind: str, noise: str, made: Made | None) -> ImageAnswer:
+    width = scene.scanned.width
+    if made is None:
+        return ImageAnswer(kind, noise, scene.percent, (), (), (), 0, 0, 0, -1, -1, 0, width)
     cause, columns = made.cause, _columns(made)
     names = (cause.name,) if cause.name else ()
     same = _class(made, [*columns, *_columns(made, ALIKE)]) if names else ()
     drawn, frames = made.place.drawn, scene.scanned.subject.frames
-    answer = ImageAnswer(
+    return ImageAnswer(
         kind=kind,
         noise=noise,
         percent=scene.percent,
@@ -177,7 +192,6 @@ def _answer(scene: _Scene, kind: str, split: str, noise: str) -> tuple[_Scene, A
         size=made.size,
         width=width,
     )
-    return made.scene, made.image, answer
 
 
 def _place(scene: _Scene) -> Place:
@@ -192,14 +206,14 @@ def _possible(cause: Cause, scene: _Scene) -> bool:
     return not blurred if cause.name == "partial_volume" else blurred or not cause.name.startswith("motion")
 
 
-def _single(scene: _Scene, causes: tuple[Cause, ...], *, of_unknown: bool) -> _Made:
+def _single(scene: _Scene, causes: tuple[Cause, ...], *, of_unknown: bool) -> Made:
     """A cause that reaches its strength within what is plausible; of an unknown one, beyond all known ones."""
     causes = tuple(c for c in causes if _possible(c, scene))
     for _ in range(_TRIES):
         cause = causes[int(scene.rng.integers(len(causes)))]
         place, target = _place(scene), _target(scene)
 
-        def make(size: float, cause: Cause = cause, place: Place = place) -> _Made:
+        def make(size: float, cause: Cause = cause, place: Place = place) -> Made:
             return _made(scene, cause, place, size)
 
         made = _at_strength(make, cause.most, target)
@@ -218,7 +232,7 @@ def _target(scene: _Scene) -> float:
     return float(scene.rng.uniform(*BINS[int(scene.rng.integers(len(BINS)))]))
 
 
-def _at_strength(make: Callable[[float], _Made], most: float, target: float) -> _Made | None:
+def _at_strength(make: Callable[[float], Made], most: float, target: float) -> Made | None:
     size = 0.3 * most
     for _ in range(6):
         made = make(size)
@@ -231,7 +245,7 @@ def _at_strength(make: Callable[[float], _Made], most: float, target: float) -> 
     return None
 
 
-def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | None = None) -> _Made:
+def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | None = None) -> Made:
     """The picture with a cause, and what is left of it once the simulator's kinetics and delay are refitted.
 
     How kinetics vary within regions nobody knows: it is noise of the picture, and no part of what the cause changes.
@@ -242,10 +256,10 @@ def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | N
     fitted = _fitted(scene, shot)
     here = replace(scanned, subject=fitted)
     plain = taken(here, varied=False)
-    filtered = matched(here, *pieces(fitted, Change()), scene.grain(image), _refitted(here, plain))
+    filtered = matched(here, *pieces(fitted, Change()), scene.grain(image), _refitted(here, scene.simulator, plain))
     change = taken(scanned, shot, varied=False) - plain
     reached = filtered.detectability(change)
-    return _Made(cause, place, size, scene, image, filtered, fitted, filtered.left(change), reached)
+    return Made(cause, place, size, scene, image, filtered, fitted, filtered.left(change), reached)
 
 
 def _fitted(scene: _Scene, shot: Shot) -> Subject:
@@ -260,17 +274,17 @@ def _fitted(scene: _Scene, shot: Shot) -> Subject:
     return seen(wanted, scene.simulator, subject, law(wanted, subject.frames, scene.percent / 10.0, 0.0)).fitted
 
 
-def _refitted(scanned: Scanned, plain: Array) -> list[Array]:
-    """What else is refitted: delay, and the width of a point spread that the simulator has."""
+def _refitted(scanned: Scanned, simulator: Simulator, plain: Array) -> list[Array]:
+    """What else is refitted: delay and the width of a point spread, where the simulator has them."""
     late = replace(scanned, subject=replace(scanned.subject, delay=scanned.subject.delay + 0.01))
-    found = [taken(late, varied=False) - plain]
+    found = [taken(late, varied=False) - plain] if simulator.delay else []
     if scanned.width > 0:
         found.append(taken(replace(scanned, width=scanned.width + 0.3), varied=False) - plain)
         found.append(taken(replace(scanned, width=0.0), varied=False) - plain)
     return found
 
 
-def _withheld_part(scene: _Scene) -> _Made:
+def _withheld_part(scene: _Scene) -> Made:
     """A part of the simulator that the subject has and the simulator lacks, made as weak as its strength asks."""
     which = int(scene.rng.integers(3))
     simulator = Simulator(which != 0, which != 1, which != 2)
@@ -278,7 +292,7 @@ def _withheld_part(scene: _Scene) -> _Made:
     cause = Cause(name, ("tissue", "vascular", "input")[which], lambda size, place: AS_ALWAYS, 1.5, spatial=False)
     place, late = _place(scene), float(scene.rng.choice([-1.0, 1.0]))
 
-    def make(size: float) -> _Made:
+    def make(size: float) -> Made:
         subject = scene.scanned.subject
         if which == 0:
             subject = replace(subject, rates=subject.rates * np.array([1.0, 1.0, size, 1.0]))
@@ -292,23 +306,39 @@ def _withheld_part(scene: _Scene) -> _Made:
     return _at_strength(make, 1.5, _target(scene)) or make(1.0)
 
 
-def _columns(made: _Made, causes: tuple[Cause, ...] = KNOWN) -> list[tuple[str, Array]]:
-    """What the refit leaves of catalogued effects at a weak size, along all axes and in all regions."""
+def columns_of(
+    made: Made, causes: tuple[Cause, ...] = KNOWN, onsets: Sequence[float] = ()
+) -> Iterator[tuple[str, Array]]:
+    """What the refit leaves of catalogued effects at a weak size (`WEAK`), along all axes and in all regions.
+
+    Args:
+        made: the cause that is there.
+        causes: those that are wanted.
+        onsets: of causes that have one, min; none for the onset that was drawn.
+    """
     scanned = replace(made.scene.scanned, subject=made.fitted)
-    plain, found = taken(scanned, varied=False), []
+    plain = taken(scanned, varied=False)
     for cause in causes:
         if not _possible(cause, made.scene):
             continue
-        for place in _places(made, cause):
-            change = retaken(scanned, cause.build(0.15 * cause.most, place), plain) - plain
+        for place in _places(made, cause, onsets if cause.onset else ()):
+            change = retaken(scanned, cause.build(WEAK * cause.most, place), plain) - plain
             left = made.filter.left(change)
-            size = float(np.linalg.norm(left))
-            if size > 1e-6:
-                found.append((cause.name, left / size))
-    return found
+            if np.linalg.norm(left) > 1e-6:
+                yield cause.name, left
 
 
-def _places(made: _Made, cause: Cause) -> list[Place]:
+def _columns(made: Made, causes: tuple[Cause, ...] = KNOWN) -> list[tuple[str, Array]]:
+    return [(name, left / float(np.linalg.norm(left))) for name, left in columns_of(made, causes)]
+
+
+def _places(made: Made, cause: Cause, onsets: Sequence[float] = ()) -> list[Place]:
+    if onsets:
+        return [
+            replace(place, drawn=replace(place.drawn, onset=onset))
+            for place in _places(made, cause)
+            for onset in onsets
+        ]
     if cause.spatial and cause.name != "partial_volume" and not cause.local:
         return [replace(made.place, axis=axis) for axis in range(3)]
     if cause.local:
@@ -317,17 +347,17 @@ def _places(made: _Made, cause: Cause) -> list[Place]:
     return [made.place]
 
 
-def _class(made: _Made, columns: list[tuple[str, Array]]) -> tuple[str, ...]:
+def _class(made: Made, columns: list[tuple[str, Array]]) -> tuple[str, ...]:
     alike = cosines(np.stack([made.left, *(c for _, c in columns)], axis=1))[0, 1:]
     return tuple(sorted({made.cause.name} | {name for (name, _), c in zip(columns, alike) if c >= _SAME}))
 
 
-def _beyond(made: _Made, others: list[Array]) -> float:
+def _beyond(made: Made, others: list[Array]) -> float:
     """Share of d' that no one and no two of the others explain, times d'."""
     return made.detectability * perpendicular(made.left, others) / max(float(np.linalg.norm(made.left)), 1e-300)
 
 
-def _ceiling(made: _Made, columns: list[tuple[str, Array]], same: tuple[str, ...], rng: np.random.Generator) -> float:
+def _ceiling(made: Made, columns: list[tuple[str, Array]], same: tuple[str, ...], rng: np.random.Generator) -> float:
     """Share of noise draws in which the best matched filter, one a name and place, is one of the class."""
     own = made.left / np.linalg.norm(made.left)
     unit = np.stack([own, *(c for _, c in columns)], axis=1)

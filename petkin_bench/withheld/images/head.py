@@ -113,9 +113,15 @@ def _varied(head: Head, pose: Pose) -> Array:
 
 
 def painted(head: Head, pose: Pose, curves: Array, derivatives: Array, *, fine: int = 1) -> Array:
-    """A sharp image [x, y, z, K] of curves (R + 1, K) that change by derivatives (R + 1, P, K) with the fields."""
-    share, varied = filled(head, pose, fine), _varied(head, pose)
+    """A sharp image [x, y, z, K] of curves (R + 1, K) that change by derivatives (R + 1, P, K) with the fields.
+
+    Without any, kinetics do not vary.
+    """
+    share = filled(head, pose, fine)
     image = share.T @ curves
+    if not derivatives.shape[1]:
+        return image.reshape(GRID, GRID, GRID, -1)
+    varied = _varied(head, pose)
     for own, by in zip(share, derivatives, strict=True):
         inside = own > 0
         image[inside] += own[inside, None] * (varied[:, inside].T @ by)

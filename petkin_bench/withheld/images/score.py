@@ -9,7 +9,7 @@ import numpy as np
 
 from petkin_bench.withheld.images.cases import BINS
 from petkin_bench.withheld.noise import KINDS
-from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_error
+from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_error, of_reader
 
 #: From here most bars hold; a strength beyond the catalogue from which a gap must be called unknown; a sure name.
 _STRONG, _BEYOND, _SURE = 6.0, 5.0, 0.9
@@ -57,6 +57,8 @@ def _by_strength(named: Sequence[Judged]) -> list[Metric]:
         found += [
             _share(f"gap claimed, {name}", [c.claimed for c in part]),
             Metric(f"images: matched filter, {name}", ceiling, len(part)),
+            of_reader(f"images: must find settings, {name}", part, "ideal"),
+            of_reader(f"images: must find settings and claim, {name}", part, "ideal_claimed"),
             _share(f"class first, {name}", [c.right for c in part], ceiling - allowed),
         ]
     for kind in ("known", "other form", "plain"):

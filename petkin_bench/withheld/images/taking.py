@@ -65,8 +65,7 @@ class Scanned:
 
 def taken(scanned: Scanned, shot: Shot = AS_ALWAYS, *, varied: bool = True) -> Array:
     """The picture without noise [x, y, z, K], with kinetics that vary within regions or without."""
-    curves, derivatives = pieces(scanned.subject, shot.change)
-    derivatives = derivatives if varied else 0.0 * derivatives
+    curves, derivatives = pieces(scanned.subject, shot.change, varied=varied)
     frames, fine = scanned.subject.frames, _FINE if scanned.width else 1
     poses = ((np.ones(len(frames.start)), REST),) if shot.poses is None else shot.poses(frames)
     image = np.zeros((GRID, GRID, GRID, len(frames.start)))
@@ -86,18 +85,20 @@ def retaken(scanned: Scanned, shot: Shot, plain: Array) -> Array:
     return shot.camera(plain, scanned.subject.frames)
 
 
-def pieces(subject: Subject, change: Change) -> tuple[Array, Array]:
-    """Curves (R + 1, K), and their derivatives by the logarithms of rates and vB (R + 1, P, K)."""
+def pieces(subject: Subject, change: Change, *, varied: bool = True) -> tuple[Array, Array]:
+    """Curves (R + 1, K), and their derivatives by the logarithms of rates and vB (R + 1, P, K), no P if not varied."""
     changes = (change,)
     here = observe(subject, changes)
+    weight = np.ones((len(here), 1))
+    weight[-1] = _SCALP
+    if not varied:
+        return here * weight, np.zeros((len(here), 0, here.shape[1]))
     found = []
     for p in range(4):
         factor = np.where(np.arange(4) == p, 1.0 + _QUOTIENT, 1.0)
         found.append(observe(replace(subject, rates=subject.rates * factor), changes) - here)
     found.append(observe(replace(subject, vB=subject.vB * (1.0 + _QUOTIENT)), changes) - here)
     derivatives = np.stack(found, axis=1) / _QUOTIENT
-    weight = np.ones((len(here), 1))
-    weight[-1] = _SCALP
     return here * weight, derivatives * weight[:, :, None]
 
 

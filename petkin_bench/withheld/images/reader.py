@@ -48,7 +48,7 @@ def ideal(answer: ImageAnswer, made: Made | None, *, seed: int) -> dict[str, obj
     seen = _by_name(noise[:_READ] + scale * (made.left @ unit), tau, names, kinds)
     alone = _by_name(noise[_READ:], tau, names, kinds)
     right = np.isin(seen.argmax(axis=1), [k for k, name in enumerate(kinds) if name in answer.classes[0]])
-    claimed = logsumexp(seen, axis=1) > np.quantile(logsumexp(alone, axis=1), 1.0 - _ALARMS)
+    claimed = _any(seen) > np.quantile(_any(alone), 1.0 - _ALARMS)
     return {"ideal": round(float(right.mean()), 4), "ideal_claimed": round(float((right & claimed).mean()), 4)}
 
 
@@ -57,3 +57,8 @@ def _by_name(scores: Array, tau: Array, names: list[str], kinds: list[str]) -> A
     each = 0.5 * (scores * tau) ** 2 / (1.0 + tau**2) - 0.5 * np.log1p(tau**2)
     mine = [np.array([name == kind for name in names]) for kind in kinds]
     return np.stack([logsumexp(each[:, own], axis=1) - np.log(own.sum()) for own in mine], axis=1)
+
+
+def _any(evidence: Array) -> Array:
+    """Log evidence of a gap of whatever name, but for a constant."""
+    return np.asarray(logsumexp(evidence, axis=1))

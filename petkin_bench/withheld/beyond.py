@@ -45,6 +45,8 @@ _APART = 0.12
 _WEAK, _FURTHEST, _QUOTIENT, _LATER = 0.1, 5.0, 1e-4, 0.1
 #: Of a linear size, at which a refit may begin too.
 _SHARE = 0.3
+#: Cosine of a weak effect below which no refit asks whether a strong one is the same.
+_NEAR = 0.7
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,26 @@ def beyond(made: Made, law: NoiseLaw) -> float:
     return float(np.sqrt(least))
 
 
+def equals(made: Made, law: NoiseLaw, most: float) -> Iterator[str]:
+    """Names of effects that have a size and nothing else, and leave at most this share of a cause's d'.
+
+    A delay of a minute is a clock that is off by a minute, which a template of a second is not.
+    """
+    here, end = observe(made.seen.fitted), float(made.subject.frames.end[-1])
+    drawn, whole = replace(made.drawn, sign=1.0), made.seen.detectability**2
+    for cause in KNOWN:
+        more = cause.flag or cause.local or cause.onset or cause.framed or cause.name in _LONG
+        if more or cause.name == made.cause.name:
+            continue
+        look = _look(made.seen.fitted, here, law, Catalogued(cause, drawn, np.full(1, _WEAK * cause.most), end))
+        gain, sizes = look.gain(made.seen)
+        start = look.at(sizes)
+        if gain < _NEAR**2 * whole or not start.sizes.any():
+            continue
+        if refitted(made, law, (start, start.weaker())).chi2 <= most**2 * whole:
+            yield cause.name
+
+
 def refitted(made: Made, law: NoiseLaw, starts: Sequence[Catalogued], first: Seen | None = None) -> Seen:
     """The best refit of an effect, from several starts, the first from the subject's own kinetics too; or of one beside
     what a first refit has."""
@@ -187,8 +209,11 @@ def _looks(made: Made, law: NoiseLaw) -> Iterator[_Look]:
             for length in lengths:
                 for frame in frames:
                     drawn = replace(made.drawn, sign=1.0, onset=float(onset), length=float(length), frame=frame)
-                    weak = 1.0 if cause.flag else _WEAK * cause.most
-                    effect = Catalogued(cause, drawn, np.full(regions if cause.local else 1, weak), end)
-                    slope = (observe(subject, (effect.change(),)) - here) / weak
-                    local = np.eye(regions)[:, :, None] * slope[None] if cause.local else slope[None]
-                    yield _Look(effect, law.whiten(local).T)
+                    weak = np.full(regions if cause.local else 1, 1.0 if cause.flag else _WEAK * cause.most)
+                    yield _look(subject, here, law, Catalogued(cause, drawn, weak, end))
+
+
+def _look(subject: Subject, here: Array, law: NoiseLaw, effect: Catalogued) -> _Look:
+    slope = (observe(subject, (effect.change(),)) - here) / effect.sizes[0]
+    local = np.eye(len(slope))[:, :, None] * slope[None] if effect.cause.local else slope[None]
+    return _Look(effect, law.whiten(local).T)

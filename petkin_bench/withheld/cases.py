@@ -119,7 +119,7 @@ def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, S
     names, same, ceiling = (), (), 0.0
     if cause.name:
         columns = columns_of(scene, made)
-        names, same = (cause.name,), class_of(cause.name, made.seen.left, columns)
+        names, same = (cause.name,), class_of(made, scene.law(made.values), columns)
         finely = columns_of(scene, made, finely=True)
         left = perpendicular(made.seen.left, [c for name, c in finely if name not in same])
         ceiling = ceiling_of(made, columns, same, scene.rng)
@@ -194,7 +194,7 @@ def _pair(scene: Scene, noise: str) -> tuple[Subject, Simulator, Answer]:
             noise=noise,
             percent=scene.percent,
             names=tuple(m.cause.name for m in both),
-            classes=tuple(class_of(m.cause.name, m.seen.left, columns_of(scene, m)) for m in both),
+            classes=tuple(class_of(m, scene.law(m.values), columns_of(scene, m)) for m in both),
             stages=tuple(m.cause.stage for m in both),
             detectability=scene.seen(values).detectability,
             perpendicular=least,

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin_bench.withheld.beyond import equals
 from petkin_bench.withheld.causes import KNOWN, Cause
 from petkin_bench.withheld.changes import Draw
 from petkin_bench.withheld.making import Made, Scene
+from petkin_bench.withheld.noise import NoiseLaw
 from petkin_bench.withheld.observe import Change, observe
 from petkin_bench.withheld.subject import Subject
 from petkin_bench.withheld.visibility import cosines
@@ -18,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Causes alike above this cosine are one class; draws of noise that a filter sees.
 _SAME, _FILTERED = 0.95, 400
+#: The same as a share of d' that is left.
+_APART = float(np.sqrt(1.0 - _SAME**2))
 
 
 def columns_of(scene: Scene, made: Made, *, finely: bool = False) -> list[tuple[str, Array]]:
@@ -63,10 +67,16 @@ def _shapes(scene: Scene, made: Made, cause: Cause, finely: bool) -> list[Draw]:
     return found
 
 
-def class_of(name: str, left: Array, columns: list[tuple[str, Array]]) -> tuple[str, ...]:
-    """The name and all whose columns look the same."""
-    alike = cosines(np.stack([left, *(c for _, c in columns)], axis=1))[0, 1:]
-    return tuple(sorted({name} | {other for (other, _), c in zip(columns, alike) if c >= _SAME}))
+def class_of(made: Made, law: NoiseLaw, columns: list[tuple[str, Array]]) -> tuple[str, ...]:
+    """The name and all that looks the same: as a column, or, of what has a size and nothing else, as large as it is."""
+    alike = cosines(np.stack([made.seen.left, *(c for _, c in columns)], axis=1))[0, 1:]
+    same = {name for (name, _), c in zip(columns, alike) if c >= _SAME}
+    return tuple(sorted({made.cause.name} | same | same_of_its_size(made, law)))
+
+
+def same_of_its_size(made: Made, law: NoiseLaw) -> set[str]:
+    """Names of what has a size and nothing else, and looks the same as large as it is."""
+    return set(equals(made, law, _APART))
 
 
 def ceiling_of(made: Made, columns: list[tuple[str, Array]], same: tuple[str, ...], rng: np.random.Generator) -> float:

@@ -12,11 +12,11 @@ from petkin_bench.withheld.beyond import Catalogued, beyond
 from petkin_bench.withheld.cases import case
 from petkin_bench.withheld.causes import KNOWN, Cause, draw
 from petkin_bench.withheld.changes import course, scanner, step_course
-from petkin_bench.withheld.classes import columns_of
+from petkin_bench.withheld.classes import class_of, columns_of
 from petkin_bench.withheld.making import Made, Scene, scaled
-from petkin_bench.withheld.observe import observe
+from petkin_bench.withheld.observe import Change, observe
 from petkin_bench.withheld.subject import Subject, draw_subject
-from petkin_bench.withheld.visibility import Simulator, perpendicular
+from petkin_bench.withheld.visibility import Simulator, cosines, perpendicular, seen
 
 BY_NAME = {cause.name: cause for cause in KNOWN}
 
@@ -75,6 +75,33 @@ def test_what_nothing_explains_is_beyond(made: Callable[..., Made]) -> None:
     )
     found = made(waves)
     assert 0.3 * found.seen.detectability < left_of(found) <= found.seen.detectability
+
+
+def lacking(subject: Subject, simulator: Simulator, name: str) -> Made:
+    values = observe(subject)
+    noise = scene_of(subject).law(values)
+    part = Cause(name, "input", lambda size, drawn: Change(), 1.0)
+    drawn = draw(np.random.default_rng(6), subject)
+    return Made(part, drawn, Change(), subject, simulator, values, seen(values, simulator, subject, noise), 1.0)
+
+
+@pytest.mark.parametrize("late", [-0.3, 0.2])
+def test_a_large_delay_is_a_clock_that_is_off(subject: Subject, late: float) -> None:
+    """Though a template of a second is not."""
+    made = lacking(replace(subject, delay=late), Simulator(delay=False), "arterial_delay")
+    noise, scene = scene_of(subject).law(made.values), replace(scene_of(subject), simulator=made.simulator)
+    columns = columns_of(scene, made)
+    alike = cosines(np.stack([made.seen.left, *(c for name, c in columns if name == "frame_offset")], axis=1))[0, 1:]
+    assert made.seen.detectability > 10.0
+    assert alike.max() < 0.95
+    assert "frame_offset" in class_of(made, noise, columns)
+    assert "dispersion" not in class_of(made, noise, columns)
+
+
+def test_blood_in_the_regions_is_no_clock(subject: Subject) -> None:
+    made = lacking(subject, Simulator(blood_volume=False), "blood_volume")
+    assert made.seen.detectability > 6.0
+    assert "frame_offset" not in class_of(made, scene_of(subject).law(made.values), [("x", made.seen.left)])
 
 
 @pytest.mark.parametrize("name", ["time_varying_kinetics", "attenuation_mismatch", "parent_fraction", "flow_change"])

@@ -8,12 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin_bench.withheld import causes as regional
 from petkin_bench.withheld.cases import SPLITS
 from petkin_bench.withheld.causes import draw
+from petkin_bench.withheld.classes import same_of_its_size
 from petkin_bench.withheld.images.causes import ALIKE, KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES, VOXEL, draw_head
 from petkin_bench.withheld.images.strength import Filter, matched
 from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, pieces, retaken, taken
+from petkin_bench.withheld.making import Made as MadeCurves
 from petkin_bench.withheld.noise import KINDS, law
 from petkin_bench.withheld.observe import Change, observe
 from petkin_bench.withheld.subject import Blood, Frames, Subject, draw_subject
@@ -349,7 +352,20 @@ def _places(made: Made, cause: Cause, onsets: Sequence[float] = ()) -> list[Plac
 
 def _class(made: Made, columns: list[tuple[str, Array]]) -> tuple[str, ...]:
     alike = cosines(np.stack([made.left, *(c for _, c in columns)], axis=1))[0, 1:]
-    return tuple(sorted({made.cause.name} | {name for (name, _), c in zip(columns, alike) if c >= _SAME}))
+    same = {name for (name, _), c in zip(columns, alike) if c >= _SAME}
+    return tuple(sorted({made.cause.name} | same | (_same_in_curves(made) if made.of_simulator else set())))
+
+
+def _same_in_curves(made: Made) -> set[str]:
+    """Names of what looks the same as a part that the simulator lacks in sharp curves, as large as it is."""
+    scene, cause = made.scene, made.cause
+    subject = scene.scanned.subject
+    values = observe(subject)
+    noise = law(values, subject.frames, scene.percent / 10.0, 0.0)
+    refitted = seen(values, scene.simulator, subject, noise)
+    part = regional.Cause(cause.name, cause.stage, lambda size, drawn: Change(), cause.most)
+    curves = MadeCurves(part, made.place.drawn, Change(), subject, scene.simulator, values, refitted, scene.percent)
+    return same_of_its_size(curves, noise)
 
 
 def _beyond(made: Made, others: list[Array]) -> float:

@@ -15,6 +15,7 @@ from petkin.errors import InputError
 
 #: Share of vessels whose walls trap where a forward model has no blood volume.
 _USUAL_VOLUME = 0.05
+_RETURN = Parameter("kr", "min^-1", 0.0, 0.0, 0.1, meaning="rate at which they let go again")
 
 
 def _fill(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -28,15 +29,19 @@ def _trap(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     if np.min(values["Kb"]) < 0:
         raise InputError(f"vascular_trapping={values['Kb']}: a rate constant is never negative.")
     lining = None if bool((model.vascular.volume > 0).all()) else _USUAL_VOLUME
-    return replace(model, vascular=replace(model.vascular, trapping=values["Kb"], lining=lining))
+    return _release(replace(model, vascular=replace(model.vascular, trapping=values["Kb"], lining=lining)), values)
+
+
+def _release(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+    if np.min(values["kr"]) < 0:
+        raise InputError(f"kr={values['kr']}: a rate constant is never negative.")
+    return replace(model, vascular=replace(model.vascular, release=values["kr"]))
 
 
 def _let_go(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     if not _traps(model):
         raise InputError("vascular_release: no vessel wall traps anything here; vascular_trapping must come before it.")
-    if np.min(values["kr"]) < 0:
-        raise InputError(f"vascular_release={values['kr']}: a rate constant is never negative.")
-    return replace(model, vascular=replace(model.vascular, release=values["kr"]))
+    return _release(model, values)
 
 
 def _traps(model: ForwardModel) -> bool:
@@ -58,19 +63,21 @@ BLOOD_VOLUME_EFFECT = Effect(
 VASCULAR_TRAPPING = Effect(
     name="vascular_trapping",
     stage="vascular",
-    parameters=ParameterSet((Parameter("Kb", "min^-1", 0.2, 0.0, 1.0, meaning="rate at which vessel walls trap"),)),
-    meaning="the walls of the vessels trap tracer: vB Kb int_0^t C_B is added",
+    parameters=ParameterSet(
+        (Parameter("Kb", "min^-1", 0.2, 0.0, 1.0, meaning="rate at which vessel walls trap"), _RETURN)
+    ),
+    meaning="the walls of the vessels trap tracer and may let it go: vB Kb e^{-kr t} * C_B is added",
     source="Rizzo G et al. J Cereb Blood Flow Metab 2014;34:1060-1069, doi:10.1038/jcbfm.2014.55",
     change=_trap,
     split_by="a scan after blocking, or a longer scan",
     regional=("Kb",),
     alike=True,
+    grid={"kr": (0.005, 0.03)},
 )
-
 VASCULAR_RELEASE = Effect(
     name="vascular_release",
     stage="vascular",
-    parameters=ParameterSet((Parameter("kr", "min^-1", 0.03, 0.0, 0.1, meaning="rate at which the walls let go"),)),
+    parameters=ParameterSet((replace(_RETURN, start=0.03),)),
     meaning="what vessel walls trap returns to the blood: vB Kb e^{-kr t} * C_B instead of vB Kb int_0^t C_B",
     source="a first-order return beside the trapping of Rizzo G et al. 2014, doi:10.1038/jcbfm.2014.55",
     change=_let_go,

@@ -42,6 +42,8 @@ CONTRACT = {
 }
 #: Names that are ours.
 BEYOND = {"vascular": "vascular_release"}
+#: Parameters that are zero unless they are given: everywhere, for ever.
+IDLE = ("region", "kr")
 LAMBDA = math.log(2) / 109.77
 
 
@@ -121,7 +123,7 @@ def test_an_effect_is_fully_described(effect: Effect) -> None:
         assert parameter.lower <= parameter.start <= parameter.upper
         assert math.isfinite(parameter.lower)
         assert math.isfinite(parameter.upper)
-        assert parameter.start != 0 or parameter.symbol == "region"
+        assert parameter.start != 0 or parameter.symbol in IDLE
 
 
 @pytest.mark.parametrize(
@@ -257,7 +259,10 @@ def test_walls_trap_and_let_go_as_their_equation_says(one_tissue: ForwardModel) 
             (0.5, end), [0.0], rtol=1e-9, atol=1e-9, dense_output=True, max_step=0.25,
         )  # fmt: skip
         wall = frame_means(base, lambda t, solution=solution: float(solution.sol(t)[0]) if t > 0.5 else 0.0)
-        for walled in (effect_named("vascular_release").inject(trapping, {"kr": kr}), *([] if kr else [trapping])):
+        for walled in (
+            effect_named("vascular_trapping").inject(base, {"Kb": 0.3, "kr": kr}),
+            effect_named("vascular_release").inject(trapping, {"kr": kr}),
+        ):
             added = (walled.frame_values() - base.frame_values())[0].numpy()
             np.testing.assert_allclose(added, wall, rtol=1e-5, atol=1e-7)
 
@@ -266,8 +271,9 @@ def test_walls_let_go_only_what_they_trap(one_tissue: ForwardModel) -> None:
     with pytest.raises(InputError, match="no vessel wall traps anything here; vascular_trapping must come before it"):
         effect_named("vascular_release").inject(one_tissue)
     trapping = effect_named("vascular_trapping").inject(one_tissue)
-    with pytest.raises(InputError, match=r"vascular_release=-0\.01: a rate constant is never negative"):
-        effect_named("vascular_release").inject(trapping, {"kr": -0.01})
+    for name in ("vascular_trapping", "vascular_release"):
+        with pytest.raises(InputError, match=r"kr=-0\.01: a rate constant is never negative"):
+            effect_named(name).inject(trapping, {"kr": -0.01})
 
 
 def test_second_tissue_is_the_two_tissue_model(one_tissue: ForwardModel) -> None:

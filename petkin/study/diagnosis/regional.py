@@ -44,6 +44,8 @@ _SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
 #: one effect. Set on training scans, of which it makes the truth likelier taken together.
 _BLUNDER = -3.0
+#: A rate that may be zero is looked for from this share of the end of its range on.
+_SLOWEST = 0.001
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
 _SCANNER, _KEPT = ("imaging", "noise"), 128
 
@@ -258,7 +260,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     amplitude = effect.amplitude
     first, last = onset_bounds(simulator.clock, scanner=effect.stage in _SCANNER)
     shapes = [
-        Shape(p.symbol, p.lower, p.upper, p.symbol in effect.regional)
+        Shape(p.symbol, p.lower or _SLOWEST * p.upper, p.upper, p.symbol in effect.regional)
         for p in effect.parameters
         if p.symbol in effect.grid
     ]

@@ -129,11 +129,13 @@ def test_a_delay_that_the_simulator_lacks_is_not_refitted(scanned: Scanned) -> N
     place = Place(draw(np.random.default_rng(1), late.subject), 0, late.head)
     cause = cases.Cause("arterial_delay", "input", lambda size, place: AS_ALWAYS, 1.5, spatial=False)
 
-    def visible(simulator: cases.Simulator) -> float:
+    def made(simulator: cases.Simulator) -> cases.Made:
         scene = cases._Scene(np.random.default_rng(1), late, simulator, 8.0, 0.0, 0)
-        return cases._made(scene, cause, place, 1.0, AS_ALWAYS).detectability
+        return cases._made(scene, cause, place, 1.0, AS_ALWAYS)
 
-    assert visible(cases.Simulator(delay=False)) > 5.0 > 0.1 > visible(cases.Simulator())
+    lacking = made(cases.Simulator(delay=False))
+    assert lacking.detectability > 5.0 > 0.1 > made(cases.Simulator()).detectability
+    assert "frame_offset" in cases._class(lacking, [("gain_step", np.ones_like(lacking.left))])
 
 
 def test_a_reader_names_what_is_strong_and_is_asked_of_names_alone() -> None:

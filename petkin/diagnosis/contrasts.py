@@ -37,6 +37,7 @@ class Pattern:
         scale: amplitude that the rows belong to, where they are not proportional to it; else 1.
         signed: whether it may be negative.
         width: standard deviation of the amplitude's prior, in units of `scale`.
+        course: in time (K,), where it has one.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Pattern:
     scale: float = 1.0
     signed: bool = True
     width: float = 1.0
+    course: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ class Contrasted:
         evidence: log evidence by hypothesis.
         best: by hypothesis.
         p_value: of none of them.
-        unnamed: log evidence of a gap of no name; None where none was looked for.
+        unnamed: log evidence of a gap of no name, no more than a name's with what is left beside it; None where none
+            was looked for.
     """
 
     evidence: Mapping[str, float]
@@ -114,9 +117,11 @@ def judge_contrasts(
         best[name] = _sized(pattern, score, information)
     unnamed, every = None, list(found.values())
     if departures:
-        unnamed, null = judge_departures(departures, least=least, draws=draws, rng=rng)
+        named = {name: b.pattern.course for name, b in best.items() if b.pattern.course is not None}
+        unnamed, null, left = judge_departures(departures, named, least=least, draws=draws, rng=rng)
         nulls.append(null)
         every.append(unnamed)
+        unnamed = min([unnamed, *(found[name] + beyond for name, beyond in left.items() if found[name] > 0.0)])
     p = p_value(_mean(np.array(every)[:, None])[0], _mean(np.stack(nulls)))
     return Contrasted({n: float(v) for n, v in found.items()}, best, p, unnamed)
 

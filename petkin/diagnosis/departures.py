@@ -3,14 +3,14 @@
     c = sum_bj a_bj e_bj + nuisance + noise,    e_bj(k) = e_b(k) w_j phi_j(k)
 
 e_b is what a unit gain in place b adds to all rows of a family, phi_j a cosine of time or of its logarithm. A gap is in
-one place, or else in all of a family with one spread. Whatever makes all places larger than noise and nuisance allow is
-a misfit of these, and no gap: scores are scaled by the median of all places.
+one place, or in all of a family, with one spread or as visible any way. Whatever makes all places larger than noise and
+nuisance allow is a misfit of these, and no gap: scores are scaled by the median of all places.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Cosines of time.
 _COUNT = 8
+#: w^2 of departures that are as visible any way, and the least share of the largest information that a direction has.
+_WIDE, _LEAST = np.geomspace(0.1, 30.0, 12), 1e-9
 
 
 @dataclass(frozen=True)
@@ -34,11 +36,14 @@ class Departure:
         family: the contrasts.
         added: what a unit gain in every place adds to them (places, J, K).
         times: of the samples (K,).
+        held: of named effects, what they add by their amplitude (m, J, K), and by its square (n, J, K); an effect's
+            course in time is its own.
     """
 
     family: Family
     added: Array
     times: Array
+    held: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -51,10 +56,17 @@ class _Scored:
     together: tuple[NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, departure: Departure, least: float) -> _Scored:
+    def of(cls, departure: Departure, least: float, name: str = "", course: Array | None = None) -> _Scored:
+        """Scores, where a name is given of what that effect with its course leaves."""
         cosines = np.stack([each[:_COUNT] for each in courses(departure.times)])
         columns = departure.added[:, None, None] * cosines[None, :, :, None, :]
-        score, information = scored(departure.family, columns.reshape(-1, departure.family.rows.size), least)
+        flat = columns.reshape(-1, departure.family.rows.size)
+        if course is None:
+            score, information = scored(departure.family, flat, least)
+        else:
+            by, squared = departure.held[name]
+            theirs = np.concatenate([by * course, squared * course**2]).reshape(-1, flat.shape[1])
+            score, information = _beyond(*scored(departure.family, np.concatenate([flat, theirs]), least), len(flat))
         which = np.arange(len(score)).reshape(columns.shape[:3])
         alone = tuple(which[:, scale] for scale in range(len(cosines)))
         return cls(score, information, alone, tuple(each.reshape(1, -1) for each in alone))
@@ -67,9 +79,29 @@ class _Scored:
             found.append(float(self.score[place] @ np.linalg.lstsq(inner, self.score[place], rcond=1e-9)[0]))
         return found
 
-    def evidence(self, scores: Array, scale: float) -> tuple[Array, Array]:
-        """log evidence of a departure in one place, of every place (..., n), and in all of them (..., n)."""
-        return self._each(scores, self.alone, scale), self._each(scores, self.together, scale)
+    def evidence(self, scores: Array, scale: float) -> tuple[Array, Array, Array]:
+        """log evidence of a departure in one place, of every place (..., n); in all, as large in each (..., n); in all,
+        as visible any way (..., n)."""
+        found = [self._each(scores, groups, scale) for groups in (self.alone, self.together)]
+        return found[0], found[1], self._visible(scores, scale)
+
+    def _visible(self, scores: Array, scale: float) -> Array:
+        """log evidence of any mixture of places with any course, whose priors are as wide as the errors times w.
+
+            log B = w^2 / (1 + w^2) q / 2 - n / 2 log(1 + w^2),   q = s' I^-1 s of n directions, averaged over w
+
+        What nuisance hides is no less likely for it: a gap that shows in what it leaves of many places is seen.
+
+        Reference: Zellner A. In: Goel PK, Zellner A, eds. Bayesian inference and decision techniques. 1986:233-243.
+        """
+        found = []
+        for (group,) in self.together:
+            size, axes = np.linalg.eigh(self.information[np.ix_(group, group)])
+            kept = size > _LEAST * size[-1]
+            square = ((scores[..., group] @ (axes[:, kept] / np.sqrt(size[kept]))) ** 2).sum(axis=-1) / scale
+            gained = 0.5 * square[..., None] * _WIDE / (1.0 + _WIDE)
+            found.append(evidence.mean(gained - 0.5 * kept.sum() * np.log1p(_WIDE)))
+        return np.stack(found, axis=-1)
 
     def _each(self, scores: Array, by_scale: Sequence[NDArray[np.intp]], scale: float) -> Array:
         found = []
@@ -79,13 +111,26 @@ class _Scored:
         return np.concatenate(found, axis=-1)
 
 
+def _beyond(score: Array, information: Array, count: int) -> tuple[Array, Array]:
+    """Scores of the first columns where the others are there as large as they like."""
+    mine, theirs = slice(count), slice(count, None)
+    shared = np.linalg.lstsq(information[theirs, theirs], information[theirs, mine], rcond=1e-9)[0]
+    return score[mine] - shared.T @ score[theirs], information[mine, mine] - shared.T @ information[theirs, mine]
+
+
 def judge_departures(
-    departures: Sequence[Departure], *, least: float, draws: int, rng: np.random.Generator
-) -> tuple[float, Array]:
-    """log evidence of a gap of no name, and that of draws of noise.
+    departures: Sequence[Departure],
+    named: Mapping[str, Array] | None = None,
+    *,
+    least: float,
+    draws: int,
+    rng: np.random.Generator,
+) -> tuple[float, Array, dict[str, float]]:
+    """log evidence of a gap of no name, that of draws of noise, and that of one beside named effects.
 
     Args:
         departures: family by family.
+        named: courses (K,) of effects, by name.
         least: smallest standard deviation that noise may have.
         draws: of noise.
         rng: randomness.
@@ -93,12 +138,17 @@ def judge_departures(
     every = [_Scored.of(each, least) for each in departures]
     usual = np.median([m for each in every for m in each.misfits()]) / chi2.median(_COUNT)
     scale = max(float(usual), 1.0)
-    found = _total([each.evidence(each.score, scale) for each in every])
     drawn = [rng.standard_normal((draws, len(each.score))) @ root(each.information) for each in every]
-    return float(found), _total([each.evidence(scores, 1.0) for each, scores in zip(every, drawn, strict=True)])
+    null = _total([each.evidence(scores, 1.0) for each, scores in zip(every, drawn, strict=True)])
+    left = {}
+    for name, course in (named or {}).items():
+        theirs = [_Scored.of(each, least, name, course) for each in departures if name in each.held]
+        if theirs:
+            left[name] = float(_total([each.evidence(each.score, scale) for each in theirs]))
+    return float(_total([each.evidence(each.score, scale) for each in every])), null, left
 
 
-def _total(found: list[tuple[Array, Array]]) -> Array:
-    """One place or several are as likely."""
-    alone, together = (evidence.mean(np.concatenate(kind, axis=-1)) for kind in zip(*found, strict=True))
-    return np.asarray(np.logaddexp(alone, together) - np.log(2.0), np.float64)
+def _total(found: list[tuple[Array, ...]]) -> Array:
+    """One place, several as large and several as visible are as likely."""
+    kinds = [evidence.mean(np.concatenate(kind, axis=-1)) for kind in zip(*found, strict=True)]
+    return evidence.mean(np.stack(kinds, axis=-1))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from petkin.diagnosis import WITHIN, Departure, Elsewhere, Family, Pattern, judge_contrasts
-from petkin.diagnosis.departures import judge_departures
+from petkin.diagnosis.departures import _Scored, judge_departures
+from petkin.diagnosis.families import root
 
 PLACES, ROWS, SAMPLES, DRAWS = 6, 3, 20, 200
 TIMES = np.linspace(0.2, 60.0, SAMPLES)
@@ -26,7 +29,7 @@ def departure(gap: np.ndarray, rng: np.random.Generator, noise: float = 1.0) -> 
 
 
 def judged(each: Departure, rng: np.random.Generator) -> tuple[float, np.ndarray]:
-    return judge_departures([each], least=1e-9, draws=DRAWS, rng=rng)
+    return judge_departures([each], least=1e-9, draws=DRAWS, rng=rng)[:2]
 
 
 def swelling(*places: int) -> np.ndarray:
@@ -41,6 +44,73 @@ def test_a_smooth_gap_is_seen_in_one_place_or_in_two(places: tuple[int, ...]) ->
     found, null = judged(departure(swelling(*places), rng), rng)
     assert found > 10.0
     assert found > null.max()
+
+
+def test_how_places_are_mixed_does_not_matter_to_what_is_as_visible_any_way() -> None:
+    """Places taken together otherwise are the same places."""
+    rng = np.random.default_rng(6)
+    mixing = rng.standard_normal((PLACES, PLACES))
+    one = departure(swelling(1, 3), rng)
+    other = replace(one, added=np.einsum("ab,bjk->ajk", mixing, one.added))
+    found = []
+    for each in (one, other):
+        scored = _Scored.of(each, 1e-9)
+        found.append(scored.evidence(scored.score, 1.0)[2])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
+    assert (found[0] > 5.0).all()
+
+
+def test_noise_has_no_evidence_of_what_is_as_visible_any_way() -> None:
+    """A likelihood ratio of 20 in less than a twentieth of draws; here in a hundredth."""
+    rng = np.random.default_rng(7)
+    scored = _Scored.of(departure(swelling(), rng), 1e-9)
+    drawn = rng.standard_normal((4000, len(scored.score))) @ root(scored.information)
+    ratio = np.exp(scored.evidence(drawn, 1.0)[2])
+    assert (np.mean(ratio >= 20.0, axis=0) <= 0.01).all()
+    assert (np.median(ratio, axis=0) > 0.01).all()
+    assert (np.median(ratio, axis=0) < 0.5).all()
+
+
+def moving(rng: np.random.Generator) -> np.ndarray:
+    """What a motion adds to one place (1, J, K)."""
+    return rng.standard_normal((1, PLACES * ROWS, 1)) * np.repeat(np.arange(PLACES) < 1, ROWS)[:, None] * CURVE
+
+
+def test_what_a_name_explains_is_no_gap_beside_it() -> None:
+    """A head that moves: what that adds by its size and by its square, with its course."""
+    rng = np.random.default_rng(8)
+    course = np.clip(TIMES / 60.0, 0.0, 1.0)
+    by, squared = moving(rng), moving(rng)
+    moved = 0.5 * by[0] * course + 0.3 * squared[0] * course**2
+
+    def seen(rows: np.ndarray) -> tuple[float, float]:
+        each = departure(swelling(), np.random.default_rng(9))
+        each = replace(each, held={"motion": (by, squared)}, family=replace(each.family, rows=each.family.rows + rows))
+        found, _, left = judge_departures([each], {"motion": course}, least=1e-9, draws=DRAWS, rng=rng)
+        return found, left["motion"]
+
+    alone, beside = seen(moved), seen(moved + np.einsum("bk,bjk->jk", swelling(2), ADDED))
+    assert alone[0] > 10.0 > 0.0 > alone[1]
+    assert beside[0] > beside[1] > 10.0
+
+
+def test_a_gap_of_no_name_is_no_surer_than_a_name_with_what_that_leaves() -> None:
+    rng = np.random.default_rng(10)
+    course = np.clip(TIMES / 60.0, 0.0, 1.0)
+    by = moving(rng)
+    each = departure(swelling(), rng)
+    family = replace(each.family, rows=each.family.rows + 0.5 * by[0] * course)
+    pattern = Pattern("motion", "x", np.ones((ROWS, 1)) * course, {}, course=course)
+    rows = 1.2 * np.ones((ROWS, 1)) * course + rng.standard_normal((ROWS, SAMPLES))
+    families = {"x": Family(rows, np.zeros((1, ROWS, SAMPLES)), np.eye(ROWS))}
+    free, held = (
+        judge_contrasts(families, [pattern], [one], least=1e-9, draws=DRAWS, rng=np.random.default_rng(11))
+        for one in (replace(each, family=family), replace(each, family=family, held={"motion": (by, by[:0])}))
+    )
+    assert free.p_value == held.p_value
+    assert free.unnamed is not None
+    assert held.unnamed is not None
+    assert 0.0 < held.unnamed < held.evidence["motion"] < free.unnamed
 
 
 def test_what_is_always_there_is_no_gap() -> None:

@@ -8,7 +8,7 @@ as it is seen, centred within every region, and turned there so that they share 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -31,20 +31,35 @@ _REGIONS = 20
 _LEAST, _FLOOR = 1e-2, 0.3
 
 
-def departures(voxels: Voxels, variation: Variation, times: Array, *, least: float) -> list[Departure]:
+#: Maps that a named effect adds to the voxels by its amplitude, and by its square, each (N, M).
+Maps = tuple[Sequence[Array], Sequence[Array]]
+
+
+def departures(
+    voxels: Voxels, variation: Variation, times: Array, named: Mapping[str, Maps], *, least: float
+) -> list[Departure]:
     """Contrasts that see such gains: along every axis, and across several.
 
     Args:
         voxels: of a segmentation.
         variation: how kinetics vary within its regions.
         times: of the frames (K,), min.
+        named: what effects that have a name add.
         least: smallest standard deviation that noise may have.
     """
     bright, regions = voxels.total(voxels.seen), _largest(voxels)
-    return [
-        Departure(*_seen(voxels, variation, bright, fields, regions, least), np.maximum(times, 0.0))
-        for fields in _fields(voxels)
-    ]
+    found = []
+    for fields in _fields(voxels):
+        weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
+        nuisance = np.concatenate([variation.joint(weights, regions), _there(voxels, weights, regions)])
+        rows = _stacked([voxels.sums(each)[regions] for each in weights])
+        added = _added(voxels, weights, regions, [field[:, None] * voxels.seen for field in fields])
+        held = {
+            name: (_added(voxels, weights, regions, a), _added(voxels, weights, regions, b))
+            for name, (a, b) in named.items()
+        }
+        found.append(Departure(Family(rows, nuisance, np.eye(len(rows))), added, np.maximum(times, 0.0), held))
+    return found
 
 
 def _fields(voxels: Voxels) -> Iterator[Array]:
@@ -67,16 +82,11 @@ def _largest(voxels: Voxels) -> NDArray[np.intp]:
     return np.sort(np.argsort(-np.bincount(voxels.place), kind="stable")[:_REGIONS])
 
 
-def _seen(
-    voxels: Voxels, variation: Variation, bright: Array, fields: Array, regions: NDArray[np.intp], least: float
-) -> tuple[Family, Array]:
-    """Contrasts of fields in some regions, and what unit gains add to them."""
-    weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
-    nuisance = np.concatenate([variation.joint(weights, regions), _there(voxels, weights, regions)])
-    rows = _stacked([voxels.sums(each)[regions] for each in weights])
-    seen, courses = voxels.seen, voxels.picture.courses
-    added = [_stacked([voxels.framed(w, field[:, None] * seen, courses)[regions] for w in weights]) for field in fields]
-    return Family(rows, nuisance, np.eye(len(rows))), np.stack(added)
+def _added(voxels: Voxels, weights: Array, regions: NDArray[np.intp], maps: Sequence[Array]) -> Array:
+    """What maps (N, M) add to the contrasts of some regions (maps, F R, K)."""
+    courses = voxels.picture.courses
+    rows = [_stacked([voxels.framed(w, each, courses)[regions] for w in weights]) for each in maps]
+    return np.stack(rows) if rows else np.zeros((0, len(weights) * len(regions), courses.shape[1]))
 
 
 def _stacked(rows: list[Array]) -> Array:

@@ -13,10 +13,10 @@ only what it would be without blur is drawn from the labels.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import Contrasted, Family, Pattern, judge_contrasts
 from petkin.effects.imaging import after
 from petkin.imaging import FrameSchedule, blur
-from petkin.study.diagnosis.fields import departures
+from petkin.study.diagnosis.fields import Maps, departures
 from petkin.study.diagnosis.onsets import onsets
 from petkin.study.diagnosis.picture import BESIDE, Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
@@ -81,7 +81,8 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     patterns = [pattern for pattern in patterns if pattern.name in names]
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
     rng = np.random.default_rng((seed, len(patterns)))
-    unnamed = departures(voxels, variation, simulator.clock.frames.mid, least=least)
+    named = scene.added(contrasts)
+    unnamed = departures(voxels, variation, simulator.clock.frames.mid, named, least=least)
     found = judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
     return Looked(found, width)
 
@@ -200,6 +201,15 @@ class _Scene:
         labelled = self.voxels.inside[picture.box]
         return {axis: _slope(picture.seen, picture.size[axis], axis)[labelled] for axis in self.axes}
 
+    @cached_property
+    def _bends(self) -> list[Array]:
+        """Second derivatives of the labelled voxels, 1/mm^2 (N, M): what large motion does beside its slope."""
+        picture = self.voxels.picture
+        labelled = self.voxels.inside[picture.box]
+        slopes = {axis: _slope(picture.seen, picture.size[axis], axis) for axis in self.axes}
+        pairs = combinations_with_replacement(slopes, 2)
+        return [_slope(slopes[one], picture.size[other], other)[labelled] for one, other in pairs]
+
     def tilted(self, axis: int) -> _Contrast:
         """A gain that grows along an axis, by so much from the middle to the edge of the head."""
         place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)
@@ -209,6 +219,14 @@ class _Scene:
     def _along(self, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
         weights = self.voxels.centred(self.voxels.total(maps))
         return _Contrast(weights, self.voxels.picture.grain.between(weights), family, names, axis, maps, prior)
+
+    def added(self, contrasts: Sequence[_Contrast]) -> dict[str, Maps]:
+        """What its effects add to the voxels along and about all axes, by mm and, of motion, by mm^2; by name."""
+        found: dict[str, Maps] = {}
+        for name in dict.fromkeys(name for contrast in contrasts for name in contrast.names):
+            by = [contrast.maps for contrast in contrasts if name in contrast.names]
+            found[name] = by, self._bends if name in _MOTIONS else []
+        return found
 
     def family(self, contrast: _Contrast, variation: Variation) -> Family:
         """Its rows, with what they may hold of an image that stays as it is."""
@@ -221,7 +239,7 @@ class _Scene:
         always = self.voxels.framed(contrast.weights, contrast.maps, self.voxels.picture.courses)
         place = {"axis": float(contrast.axis)}
         return [
-            Pattern(name, contrast.family, always * course, place | setting, width=contrast.prior)
+            Pattern(name, contrast.family, always * course, place | setting, width=contrast.prior, course=course)
             for name in contrast.names
             for setting, course in _courses(name, simulator.clock.frames, simulator)
         ]

@@ -78,7 +78,8 @@ def withheld(
     cases: Annotated[int, typer.Option(help="Scans; those with a verdict are not judged again.", min=1)] = 150,
     seed: Annotated[int, typer.Option(help="Of the scans; splits never share one.", min=0)] = 0,
     split: Annotated[str, typer.Option(help="scored, or training for calibration.")] = "scored",
-    regions: Annotated[int, typer.Option(help="A scan.", min=2)] = 5,
+    regions: Annotated[int, typer.Option(help="A scan.", min=1)] = 5,
+    frames: Annotated[str, typer.Option(help="clinical, or short: 80 of half a minute.")] = "clinical",
     draws: Annotated[int, typer.Option(help="Noise draws of each diagnosis.", min=20)] = 400,
     without: Annotated[
         str,
@@ -103,7 +104,7 @@ def withheld(
     from petkin_bench.withheld.score import joined, metrics, text_of
 
     network = work / f"network_seed{LEARNED_SEED}_regions{regions}_{examples}.safetensors"
-    plan = Plan(split, seed, cases, regions, draws, without, images, network)
+    plan = Plan(split, seed, cases, regions, draws, without, images, network, frames)
     if without == "engine" and not network.is_file():
         from petkin_bench.withheld.network import train_network
 
@@ -119,6 +120,7 @@ def withheld(
             "seed": seed,
             "scans": cases,
             "regions": regions,
+            "frames": frames,
             "draws": draws,
             "without": without,
         }

@@ -85,13 +85,13 @@ class Answer:
     clean: Array
 
 
-def case(split: str, seed: int, index: int, regions: int = 5) -> tuple[Scan, Answer]:
+def case(split: str, seed: int, index: int, regions: int = 5, frames: str = "clinical") -> tuple[Scan, Answer]:
     """One case; the same arguments give the same bytes."""
     rng = np.random.default_rng([SPLITS[split], seed, index])
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     noise = str(rng.choice(list(KINDS)))
     share, freedom = KINDS[noise]
-    scene = Scene(rng, draw_subject(rng, regions), Simulator(), float(rng.choice(_PERCENT)), share)
+    scene = Scene(rng, draw_subject(rng, regions, frames), Simulator(), float(rng.choice(_PERCENT)), share)
     subject, simulator, answer = _answer(scene, kind, split, noise)
     noise_law = replace(scene, percent=answer.percent).law(answer.clean)
     values = noisy(answer.clean, noise_law, freedom, rng)

@@ -49,7 +49,9 @@ def scanner(change: Callable[[Array, Frames, float, Draw], Array]) -> Build:
 
 
 def smeared(t: Array, u: Array, tau: float) -> Array:
-    """(1/tau) e^{-t/tau} * u for u straight between times, exactly."""
+    """(1/tau) e^{-t/tau} * u for u straight between times, exactly; u itself where tau is 0."""
+    if tau == 0.0:
+        return u
     out = np.zeros_like(u)
     for i, h in enumerate(np.diff(t)):
         keep = math.exp(-h / tau)
@@ -186,7 +188,8 @@ def later(frames: Frames, onset: float, soft: float = 0.0) -> Array:
 
 
 def from_others(x: Array) -> Array:
-    return (x.sum(axis=0) - x) / (len(x) - 1)
+    """What comes in from other regions; where there are none, nothing changes."""
+    return (x.sum(axis=0) - x) / (len(x) - 1) if len(x) > 1 else x
 
 
 def from_next(x: Array) -> Array:

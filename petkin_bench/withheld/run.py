@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from petkin.errors import InputError
 from petkin_bench.withheld.ablations import ENGINE, PARTS, without
 from petkin_bench.withheld.cases import SPLITS, Answer, case
+from petkin_bench.withheld.subject import SCHEDULES_S
 
 if TYPE_CHECKING:
     from petkin_bench.withheld.images.cases import ImageAnswer
@@ -34,6 +35,7 @@ class Plan:
     without: str = ""
     images: bool = False
     network: Path = Path()
+    frames: str = "clinical"
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -42,6 +44,8 @@ class Plan:
             raise InputError(f"--without {self.without!r}: give one of {', '.join((*PARTS, ENGINE))}.")
         if self.without == ENGINE and self.split == "training" and self.seed == LEARNED_SEED:
             raise InputError(f"--seed {self.seed}: the network learned from those training cases; give another.")
+        if self.frames not in SCHEDULES_S:
+            raise InputError(f"--frames {self.frames!r}: give {' or '.join(SCHEDULES_S)}.")
         if self.images and self.without:
             raise InputError("--images judges the whole product: leave --without away.")
 
@@ -50,7 +54,8 @@ class Plan:
         if self.images:
             return f"withheld_{self.split}_seed{self.seed}_images"
         lacking = f"_without_{self.without}" if self.without else ""
-        return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}{lacking}"
+        frames = f"_{self.frames}" if self.frames != "clinical" else ""
+        return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}{frames}{lacking}"
 
 
 def run(
@@ -85,7 +90,7 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
         return _judged_image(plan, index)
     from petkin_bench.withheld.judge import ideal, verdict
 
-    scan, truth = case(plan.split, plan.seed, index, plan.regions)
+    scan, truth = case(plan.split, plan.seed, index, plan.regions, plan.frames)
     answer = {"index": index} | row_of(truth)
     if plan.without == ENGINE:
         from petkin_bench.withheld.network import network_verdict

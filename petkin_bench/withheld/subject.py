@@ -14,8 +14,14 @@ from scipy.interpolate import PchipInterpolator
 
 Array = NDArray[np.float64]
 
-#: Seconds of every frame of the two schedules.
-SCHEDULES_S = ([10] * 6 + [20] * 6 + [60] * 6 + [180] * 4 + [300] * 14, [15] * 8 + [30] * 6 + [60] * 5 + [300] * 16)
+#: Seconds of every frame: two clinical schedules of which one is drawn, and frames as short as those of simulations.
+SCHEDULES_S = {
+    "clinical": (
+        [10] * 6 + [20] * 6 + [60] * 6 + [180] * 4 + [300] * 14,
+        [15] * 8 + [30] * 6 + [60] * 5 + [300] * 16,
+    ),
+    "short": ([30] * 80,),
+}
 #: Half-lives of 11C and 18F, min.
 HALF_LIVES = (20.364, 109.77)
 _RATES = ((0.06, 0.4), (0.05, 0.3), (0.02, 0.1), (0.01, 0.06))
@@ -60,9 +66,10 @@ class Subject:
     frames: Frames
 
 
-def draw_subject(rng: np.random.Generator, regions: int) -> Subject:
+def draw_subject(rng: np.random.Generator, regions: int, schedules: str = "clinical") -> Subject:
     """One subject of the population."""
-    edges = np.concatenate([[0.0], np.cumsum(SCHEDULES_S[int(rng.integers(2))])]) / 60.0
+    among = SCHEDULES_S[schedules]
+    edges = np.concatenate([[0.0], np.cumsum(among[int(rng.integers(len(among)))])]) / 60.0
     frames = Frames(edges[:-1], edges[1:], math.log(2.0) / HALF_LIVES[int(rng.integers(2))])
     rates = np.stack([rng.uniform(*bounds, regions) for bounds in _RATES], axis=1)
     blood = _blood(rng, float(edges[-1]))

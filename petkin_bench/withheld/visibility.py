@@ -123,9 +123,14 @@ class Seen:
 
 
 def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw, guesses: tuple[Guess, ...] = ()) -> Seen:
-    """The refit, from the subject's own kinetics, by damped Gauss-Newton steps; of guessed causes too."""
+    """The refit, from the subject's own kinetics, by damped Gauss-Newton steps; of guessed causes too.
+
+    Guesses at which curves explode explain nothing: their chi2 is infinite.
+    """
     target, here = law.whiten(values), simulator.start(subject)
     damping, fitted, jacobian = 1e-4, *_jacobian(simulator, here, law, guesses)
+    if not np.isfinite(jacobian).all():
+        return Seen(target, np.zeros((target.size, 0)), here, float("inf"), guesses)
     own = jacobian.shape[1] - sum(g.coordinates for g in guesses)
     for _ in range(_STEPS):
         residual = target - fitted
@@ -136,13 +141,14 @@ def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw, g
         after = target - law.whiten(observe(moved, tuple(g.change() for g in other)))
         with np.errstate(over="ignore"):  # rates may go where curves explode, and come back
             gained = float(residual @ residual - after @ after)
-        if gained > 0:
-            here, guesses, damping = moved, other, damping / 10
-            fitted, jacobian = _jacobian(simulator, here, law, guesses)
-            if gained < 1e-3:
-                break
-        else:
+        there = _jacobian(simulator, moved, law, other) if gained > 0 else None
+        if there is None or not np.isfinite(there[1]).all():
             damping *= 30
+            continue
+        here, guesses, damping = moved, other, damping / 10
+        fitted, jacobian = there
+        if gained < 1e-3:
+            break
     left, felt, _ = np.linalg.svd(jacobian, full_matrices=False)
     axes = left[:, felt > _FELT]
     residual = target - fitted

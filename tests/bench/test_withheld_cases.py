@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from petkin.errors import InputError
 from petkin_bench.withheld import run as runs
 from petkin_bench.withheld.cases import SPLITS, case
 from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, UNKNOWN, draw
@@ -15,6 +16,7 @@ from petkin_bench.withheld.changes import smeared
 from petkin_bench.withheld.judge import ideal
 from petkin_bench.withheld.noise import law, noisy
 from petkin_bench.withheld.observe import Change, observe, tissue
+from petkin_bench.withheld.run import Plan
 from petkin_bench.withheld.score import Judged, auroc, calibration_error, metrics, text_of
 from petkin_bench.withheld.subject import Subject, draw_subject
 from petkin_bench.withheld.visibility import Simulator, perpendicular, seen
@@ -207,3 +209,18 @@ def test_a_reader_who_must_find_the_settings_is_asked_of_single_causes_alone() -
     strong = [row for answer, row in asked.values() if answer.detectability > 8.0]
     assert strong
     assert all(row["ideal_claimed"] == row["ideal"] for row in strong)
+
+
+@pytest.mark.parametrize(("regions", "frames"), [(1, "clinical"), (2, "short"), (20, "clinical")])
+def test_scans_of_one_region_many_regions_and_short_frames(regions: int, frames: str) -> None:
+    """The last has a refit that leads to where curves explode, which explains nothing."""
+    for index in (0, 4, 56):
+        scan, answer = case("training", 48, index, regions, frames)
+        assert scan.values.shape == (regions, 80 if frames == "short" else scan.frames.start.size)
+        assert np.isfinite(scan.values).all()
+        assert answer.kind == "none" or answer.detectability > 0
+
+
+def test_frames_of_no_schedule_are_refused() -> None:
+    with pytest.raises(InputError, match="--frames 'long'"):
+        Plan("scored", 3, 1, 5, 100, frames="long")

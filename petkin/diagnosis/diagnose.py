@@ -187,6 +187,7 @@ def _verdict(
         chosen = smallest_set({c.label: probability[c.label] for c in listed}, alike)
     leader = listed[0]
     stage = {h.name: h.stage for h in hypotheses}
+    alone = (drawn**2).sum(axis=1) / max(base.residual.size - base.jacobian.shape[1], 1)
     causes = tuple(
         Cause(
             c.names,
@@ -194,7 +195,7 @@ def _verdict(
             probability[c.label],
             c.log_evidence,
             estimates(c, simulator, base),
-            closure(base, c.fit, shape, beyond[c.label]) if c.fit is not None else None,
+            closure(base, c.fit, shape, beyond[c.label], alone) if c.fit is not None else None,
             c.fit,
         )
         for c in listed

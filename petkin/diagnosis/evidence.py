@@ -5,8 +5,8 @@ barely visible to blatant, so that the answer does not hang on the unit of the a
 
     log B(t) = log int exp(z t - z^2 / 2) d ln z / ln(z1 / z0)
 
-One amplitude a channel: normal about zero with a width that is log-uniform too, or else one channel alone; of an effect
-that acts everywhere alike, or else the same in all channels.
+One amplitude a channel: normal about zero with a width that is log-uniform too, or else one channel alone. Of an effect
+that acts everywhere alike: one amplitude in all channels, or amplitudes that differ from it by a share of it.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ _OCCAM = np.log(np.trapezoid(np.exp(-0.5 * (_Z[:, None] - _T[None]) ** 2), dx=1.
 #: What a second cause costs in log evidence: most gaps have one cause. Set on training scans.
 SECOND = 8.0
 _WIDTHS = np.geomspace(0.5, 40.0, 8)
+#: By how much of itself an amplitude differs between channels where it is about the same, and sizes of it that are
+#: averaged.
+_DIFFERS, _ABOUT = 0.5, np.geomspace(_WEAKEST, _STRONGEST, 48)
 
 
 def one_sided(t: Array) -> Array:
@@ -92,11 +95,21 @@ class Spread:
         return _together(*map(np.ascontiguousarray, (scores, size, axes))).reshape(score.shape[:-1])
 
     def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool, signed: NDArray[np.bool_] | bool) -> Array:
-        """The same of amplitudes that differ between channels: all of them, or one alone; one for all where alike. One
-        amplitude is positive or absent unless it is signed."""
+        """The same of amplitudes that differ between channels: all of them, or one alone; where alike, by a share of
+        themselves or not at all. One amplitude is positive or absent unless it is signed."""
         one = _of_sign(score.sum(axis=-1) / np.sqrt(self.total), signed)
         lone = mean(self._lone(score, signed))
-        return np.logaddexp(self._each(score, signed), np.where(alike, one, lone)) - np.log(2.0)
+        most = np.where(alike, self.about(score, signed), self._each(score, signed))
+        return np.logaddexp(most, np.where(alike, one, lone)) - np.log(2.0)
+
+    def about(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+        """log B of amplitudes that are normal about one of them all, as wide as a share of it."""
+        count = self.size.shape[-1]
+        size, axes = self.size.reshape(-1, count), self.axes.reshape(-1, count, count)
+        scores = score.reshape(-1, *size.shape)
+        both = [_about(*map(np.ascontiguousarray, (s * scores, size, axes))) for s in (1.0, -1.0)]
+        above, below = (found.reshape(score.shape[:-1]) for found in both)
+        return np.where(signed, np.logaddexp(above, below) - np.log(2.0), above)
 
     def alone(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
         """Probability of every channel (..., n) that it alone has an amplitude, and not all of them."""
@@ -149,6 +162,39 @@ def _two_sided(below, above, occam):
         one, other = _averaged(above[i], occam), _averaged(-below[i], occam)
         more, less = max(one, other), min(one, other)
         found[i] = more + np.log1p(np.exp(less - more)) - np.log(2.0)
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _about(score, size, axes):
+    """log B of every draw and every effect (draws, effects), averaged over how large the amplitudes are about."""
+    draws, effects, count = score.shape
+    found, parts, along = np.empty((draws, effects)), np.empty(_ABOUT.size), np.empty(count)
+    mean, volume, share = np.empty(_ABOUT.size), np.empty(_ABOUT.size), np.empty((_ABOUT.size, count))
+    for e in range(effects):
+        total = 0.0
+        for j in range(count):
+            along[j] = axes[e, :, j].sum()
+            total += size[e, j] * along[j] ** 2
+        for k in range(_ABOUT.size):
+            mean[k] = _ABOUT[k] / np.sqrt(max(total, 1e-300))
+            variance, volume[k] = (_DIFFERS * mean[k]) ** 2, 0.0
+            for j in range(count):
+                grown = 1.0 + variance * size[e, j]
+                share[k, j] = variance / grown
+                volume[k] += np.log(grown)
+        for b in range(draws):
+            for k in range(_ABOUT.size):
+                parts[k] = -0.5 * volume[k] - 0.5 * _ABOUT[k] ** 2
+            for j in range(count):
+                turned = 0.0
+                for i in range(count):
+                    turned += score[b, e, i] * axes[e, i, j]
+                for k in range(_ABOUT.size):
+                    left = turned - mean[k] * size[e, j] * along[j]
+                    parts[k] += mean[k] * turned * along[j] + 0.5 * left * left * share[k, j]
+            top = parts.max()
+            found[b, e] = top + np.log(np.exp(parts - top).mean())
     return found
 
 

@@ -6,11 +6,12 @@
 with H the hat matrix of a fit: (I - H_bb)^{-1} r_b is, to first order, the residual of block b in a fit that never saw
 it, and the trace is what it would be for the true mean: noise and the cost of the fitted parameters.
 
-G is the difference of two sums that share their noise; L is not, and its error, sqrt(2 D_floor), is as large as a weak
-gap. So L is known beforehand as well: should an explanation H be true, this one leaves what its own refit leaves of the
-difference to H, and a little that no fit takes; should no name be true, it may leave a visible gap. The value
-is the median of closure, and the interval holds 0.9 of it, over all explanations by their probability and by what their
-L makes of the held-out deviance. Nothing is 1 by construction: a sure name still leaves a little.
+G is the difference of two sums that share their noise; L is not, and its error is as large as a weak gap, more where
+noise has tails. So L is known beforehand as well: should an explanation H be true, this one leaves what its own refit
+leaves of the difference to H, and a little that no fit takes; should no name be true, it may leave a visible gap. The
+value is the median of closure, and the interval holds 0.9 of it, over all explanations by their probability and by what
+their L makes of the held-out deviance beside that of draws of noise, whose size was found as that of the data was.
+Nothing is 1 by construction: a sure name still leaves a little.
 
 Reference: Cook RD, Weisberg S. Residuals and influence in regression. Chapman and Hall 1982.
 """
@@ -39,6 +40,8 @@ _CLAIMED = 9.0
 _P = (np.arange(60) + 0.5) / 60
 _LITTLE_LEFT, _MUCH_LEFT = _LITTLE[0] * np.exp(_LITTLE[1] * norm.ppf(_P)), -_MUCH * np.log(_P)
 _SHARES = (0.08, 0.5, 0.98)
+#: Width of a draw's share in the density of all, in their standard deviations, times the fifth root of their number.
+_SMOOTH = 1.06
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,9 @@ def held_out(fit: Fit, shape: tuple[int, int]) -> tuple[float, float]:
     return float(((turned / size) ** 2).sum()), float((1.0 / size).sum())
 
 
-def closure(without: Fit, with_it: Fit, shape: tuple[int, int], others: Sequence[tuple[float, Array]]) -> Interval:
+def closure(
+    without: Fit, with_it: Fit, shape: tuple[int, int], others: Sequence[tuple[float, Array]], noise: Array
+) -> Interval:
     """Share of the gap that goes, with a 90 % interval.
 
     Args:
@@ -77,6 +82,7 @@ def closure(without: Fit, with_it: Fit, shape: tuple[int, int], others: Sequence
         shape: channels, samples.
         others: of every explanation, this one among them: its probability, and the whitened values that it predicts
             beyond those of this one (n,). What is missing to 1 is the probability of none.
+        noise: chi-square of draws of noise over what it is expected to be (b,).
     """
     (before, low_before), (after, low_after) = held_out(without, shape), held_out(with_it, shape)
     projection = Projection.of_fit(with_it)
@@ -84,7 +90,8 @@ def closure(without: Fit, with_it: Fit, shape: tuple[int, int], others: Sequence
     probability = np.array([p for p, _ in others])
     unseen = np.concatenate([*(once + _LITTLE_LEFT for once in left), _MUCH_LEFT])
     known = np.repeat(np.append(probability, max(1.0 - probability.sum(), 0.0)), _P.size)
-    weight = known * np.exp(-0.25 * (after - low_after - unseen) ** 2 / low_after)
+    beside = ((after - unseen) / low_after)[:, None] - noise
+    weight = known * np.exp(-0.5 * (beside / (_SMOOTH * len(noise) ** -0.2 * noise.std())) ** 2).mean(axis=1)
     weight = weight / weight.sum() if weight.sum() > 0 else known / known.sum()
     gone = max(before - low_before - (after - low_after), _CLAIMED)
     closed = gone / (gone + unseen)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise
-from petkin.diagnosis.effect import Simulator, Term, foreknown
+from petkin.diagnosis.effect import Hypothesis, Simulator, Term, foreknown
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, State, begun, parts, refit
 from petkin.diagnosis.scan import Scan, starts
@@ -189,15 +189,31 @@ def refitted(
     """
     behind = base.objective - (1.0 - _LAGGING) * ahead + 2.0 * _WITHIN
     fit = refit(simulator, data, noise, start, iterations=_STEPS, renewed=_RENEWED, behind=behind)
-    known = len(base.state.terms)
+    channels, known = len(simulator.channels), len(base.state.terms)
     terms = fit.state.terms[known:]
-    return Candidate(
-        tuple(sorted(t.hypothesis.name for t in terms)),
-        fit,
-        after_refit(base, fit, len(simulator.channels), known) + foreknown(terms),
-        base.objective - fit.objective,
-        terms,
-    )
+    value = after_refit(base, fit, channels, known)
+    if any(_is_about_one(term.hypothesis) for term in terms):
+        one = refit(simulator, data, noise, _as_one(fit, channels, known), iterations=_STEPS, renewed=_RENEWED)
+        value = float(np.logaddexp(value, after_refit(base, one, channels, known)) - np.log(2.0))
+    names = tuple(sorted(t.hypothesis.name for t in terms))
+    return Candidate(names, fit, value + foreknown(terms), base.objective - fit.objective, terms)
+
+
+def _is_about_one(hypothesis: Hypothesis) -> bool:
+    """Whether it has an amplitude a channel that may be the same in all."""
+    return hypothesis.by_channel and hypothesis.alike
+
+
+def _as_one(fit: Fit, channels: int, known: int) -> State:
+    """Where a refit may begin whose amplitudes are the same in all channels, if they are about the same: their mean by
+    what tells of each."""
+    terms = list(fit.state.terms)
+    for i, places in enumerate(columns_of(fit, channels, known), known):
+        if _is_about_one(terms[i].hypothesis):
+            tells = (fit.jacobian[:, places[""]] ** 2).sum(axis=0) + 1e-300
+            mean = float(tells @ np.asarray(terms[i].amplitude) / tells.sum())
+            terms[i] = replace(terms[i], hypothesis=replace(terms[i].hypothesis, by_channel=False), amplitude=mean)
+    return replace(fit.state, terms=tuple(terms))
 
 
 def columns_of(fit: Fit, channels: int, known: int) -> list[dict[str, slice]]:
@@ -234,10 +250,11 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
         return float(evidence.two_sided(t) if hypothesis.signed else evidence.one_sided(t))
     information = informed(fit, place, fit.jacobian[:, place])
     amplitude = np.asarray(term.amplitude, np.float64)
-    linear = float(amplitude @ information @ amplitude)
+    score, linear = information @ amplitude, float(amplitude @ information @ amplitude)
     spread = evidence.Spread.of(information)
-    found = spread.by_channel(information @ amplitude, hypothesis.alike, hypothesis.signed)
-    return float(found) + 0.5 * (gain - linear)
+    if hypothesis.alike:  # how far they differ counts by what that gains: where amplitudes are strong it is not linear
+        return float(spread.about(np.sqrt(gain / max(linear, 1e-300)) * score, hypothesis.signed))
+    return float(spread.by_channel(score, False, hypothesis.signed)) + 0.5 * (gain - linear)
 
 
 def informed(fit: Fit, place: slice, columns: Array) -> Array:

@@ -163,3 +163,25 @@ def test_amplitudes_that_are_positive_are_averaged_over_what_is_positive(score: 
     lone = np.log(np.mean(np.exp(evidence.one_sided(np.array(score)))))
     found = evidence.Spread.of(np.eye(3)).by_channel(np.array(score), False, False)
     assert float(found) == pytest.approx(np.logaddexp(together, lone) - np.log(2.0), abs=0.35)
+
+
+@pytest.mark.parametrize("score", [(4.0, 3.0, 5.0), (6.0, 0.2, 3.0), (3.0, -1.0, 4.0)])
+def test_amplitudes_about_the_same_are_averaged_over_what_they_may_be(score: tuple[float, ...]) -> None:
+    """Against integrals over amplitudes that differ by half of what they are about, itself log-uniform."""
+
+    def one(s: float, about: float) -> float:
+        return quad(lambda a: norm.pdf(a, about, 0.5 * about) * np.exp(s * a - 0.5 * a * a), -20.0, 60.0, limit=200)[0]
+
+    sizes = np.geomspace(0.8, 80.0, 120) / np.sqrt(3.0)
+    expected = np.log(np.mean([np.prod([one(s, about) for s in score]) for about in sizes]))
+    found = evidence.Spread.of(np.eye(3)).about(np.array(score), False)
+    assert float(found) == pytest.approx(expected, abs=0.05)
+
+
+def test_twenty_amplitudes_that_are_alike_are_no_easier_to_have_than_five() -> None:
+    """As much of them, evenly over channels, is no better a reason; over some channels only it is a worse one."""
+    few, many = (evidence.Spread.of(np.eye(n)) for n in (5, 20))
+    even = [float(s.about(np.full(n, 8.0 / np.sqrt(n)), False)) for s, n in ((few, 5), (many, 20))]
+    assert even[0] - 4.0 < even[1] < even[0] < float(evidence.one_sided(np.array(8.0)))
+    half = np.repeat([8.0 / np.sqrt(10), 0.0], 10)
+    assert float(many.about(half, False)) < even[1] - 2.0

@@ -6,7 +6,6 @@ import fcntl
 import os
 import shutil
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
@@ -15,9 +14,7 @@ from typing import BinaryIO
 
 from petkin.errors import InputError
 
-_TEMPORARY, _LOCK, _NEW = ".petkin-", "lock", "new"
-#: Age (s) from which on a folder without a lock was left by a process that was killed while it made it.
-_LEFT = 3600.0
+_TEMPORARY, _LOCK = ".petkin-", ".lock"
 #: Which permissions this process does not give; there is no way to ask without changing it, which threads would see.
 _UMASK = os.umask(0o077)
 os.umask(_UMASK)
@@ -141,37 +138,46 @@ class AtomicFolder:
 def temporary_folder(near: Path) -> Iterator[Path]:
     """A folder that vanishes when the block ends; if the process is killed outright, the next one removes it.
 
-    A lock tells whether its owner lives: the system lets go of it when a process ends, however that comes about.
+    A locked file beside it tells whether its owner lives: the system lets go of it when a process ends, however that
+    comes about. The file is there before the folder and until after it, so what is left at any moment can be removed.
     """
     remove_orphans(near)
-    folder = Path(tempfile.mkdtemp(prefix=f"{_TEMPORARY}{os.getpid()}-", dir=near))
+    path, lock = _locked(near)
+    folder = path.with_suffix("")
     try:
-        with (folder / _NEW).open("wb") as lock:
-            with suppress(OSError):  # a file system without locks: what is left there stays
-                fcntl.flock(lock, fcntl.LOCK_EX)
-                Path(lock.name).rename(folder / _LOCK)
-            yield folder
+        folder.mkdir(mode=0o700)
+        yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _remove(path)
+        lock.close()
 
 
 def remove_orphans(near: Path) -> None:
-    """Remove temporary folders whose owners were killed outright; later, those that never got their lock."""
-    for lock in near.glob(f"{_TEMPORARY}*/{_LOCK}"):
-        _remove_unless_locked(lock)
-    for folder in near.glob(f"{_TEMPORARY}*/"):
+    """Remove temporary folders whose owners were killed outright."""
+    for path in near.glob(f"{_TEMPORARY}*{_LOCK}"):
+        with suppress(OSError), path.open("r+b") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _remove(path)
+
+
+def _remove(lock: Path) -> None:
+    """Remove a folder, then its lock; what cannot be removed now keeps its lock for the next process."""
+    folder = lock.with_suffix("")
+    shutil.rmtree(folder, ignore_errors=True)
+    if not folder.exists():
+        lock.unlink(missing_ok=True)
+
+
+def _locked(near: Path) -> tuple[Path, BinaryIO]:
+    """A new file that this process has locked; where the file system has no locks, nobody else can lock it either."""
+    while True:
+        descriptor, name = tempfile.mkstemp(prefix=f"{_TEMPORARY}{os.getpid()}-", suffix=_LOCK, dir=near)
+        lock = os.fdopen(descriptor, "r+b")
         with suppress(OSError):
-            if (folder / _LOCK).exists() or time.time() - folder.stat().st_mtime < _LEFT:
-                continue
-            _remove_unless_locked(folder / _NEW)
-            folder.rmdir()
-
-
-def _remove_unless_locked(lock: Path) -> None:
-    """Remove the folder of a file that no living process has locked."""
-    with suppress(OSError), lock.open("r+b") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(lock.parent, ignore_errors=True)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        if Path(name).exists():  # else another process took it for an orphan's before it was locked
+            return Path(name), lock
+        lock.close()
 
 
 def make_folder(folder: Path) -> None:

@@ -82,12 +82,12 @@ def _until(there: Callable[[], T | None]) -> T:
 
 
 def _at_work(study: Path) -> list[int]:
-    """Processes that hold a folder of half a scan; one killed in the moment before leaves its folder for an hour."""
-    return [int(path.parent.name.split("-")[1]) for path in study.rglob(".petkin-*-*/lock")]
+    """Processes that hold a folder of half a scan."""
+    return [int(path.name.split("-")[1]) for path in study.rglob(".petkin-*-*.lock")]
 
 
 def _half_done(study: Path) -> list[Path]:
-    """Folders of half a scan, held or not."""
+    """Folders of half a scan and their locks, held or not."""
     return list(study.rglob(".petkin-*-*"))
 
 

@@ -97,33 +97,43 @@ def test_two_that_make_the_same_folder_both_end_well(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-@pytest.mark.parametrize("held", [(), ("new",)])
-def test_a_folder_that_never_got_its_lock_goes_once_it_is_old(tmp_path: Path, held: tuple[str, ...]) -> None:
-    folder = tmp_path / ".petkin-1-abc"
-    folder.mkdir()
-    for name in held:
-        (folder / name).touch()
+@pytest.mark.parametrize("held", [None, (), ("out", "half")])
+def test_whatever_the_dead_left_goes_at_once(tmp_path: Path, held: tuple[str, ...] | None) -> None:
+    """Killed before its folder was made or after it was removed, with nothing in it, in the middle of the work."""
+    (tmp_path / ".petkin-1-abc.lock").touch()
+    if held is not None:
+        (tmp_path / ".petkin-1-abc").mkdir()
+        for name in held:
+            (tmp_path / ".petkin-1-abc" / name).touch()
     remove_orphans(tmp_path)
-    assert folder.is_dir()
-    os.utime(folder, (0, 0))
-    remove_orphans(tmp_path)
-    assert not folder.exists()
+    assert not list(tmp_path.iterdir())
 
 
-def test_an_old_folder_in_use_stays(tmp_path: Path) -> None:
+def test_a_lock_taken_for_an_orphan_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process may look for orphans between the moment that a lock's file is made and that it is locked."""
+    flock, seen = atomic.fcntl.flock, list[int]()
+
+    def late(file: object, operation: int) -> None:
+        seen.append(operation)
+        if len(seen) == 1:
+            remove_orphans(tmp_path)
+        flock(file, operation)
+
+    monkeypatch.setattr(atomic.fcntl, "flock", late)
     with temporary_folder(tmp_path) as mine:
-        os.utime(mine, (0, 0))
         remove_orphans(tmp_path)
-        assert mine.is_dir()
+        assert sorted(path.name for path in tmp_path.iterdir()) == [mine.name, f"{mine.name}.lock"]
+    assert len(seen) == 4
+    assert not list(tmp_path.iterdir())
 
 
-def test_an_old_folder_that_cannot_be_locked_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_locked_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the file system has no locks, nobody knows whether its owner lives."""
     monkeypatch.setattr(atomic.fcntl, "flock", refused)
     with temporary_folder(tmp_path) as mine:
-        os.utime(mine, (0, 0))
         remove_orphans(tmp_path)
         assert mine.is_dir()
+    assert not list(tmp_path.iterdir())
 
 
 def refused(*_: object) -> None:

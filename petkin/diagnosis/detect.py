@@ -1,4 +1,8 @@
-"""Is there a gap: the scan's statistic against its own distribution under noise alone.
+"""Is there a gap: the evidence of all hypotheses together against its own distribution under noise alone.
+
+What one hypothesis makes of noise is no matter of the others: each counts by what it has beyond what noise seldom gives
+it. Where tails may be heavy and few channels are there to deny it, a wild value looks like one wrong sample, and would
+else raise the bar for every hypothesis.
 
 Draws have the noise's tails and its share in common, lose their size to a flexible fit as the data do, and pass the
 same projection and the same templates, so that looking at many hypotheses costs what it should.
@@ -14,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise, across, inverse_root
 from petkin.diagnosis.noise import outlying, second_differences, size_and_share, without_jumps
 
@@ -22,6 +27,8 @@ Array = NDArray[np.float64]
 #: Degrees of freedom that tails may have, infinite for normal ones; rounds in which their scale settles, and in which
 #: wild values are found, as often as those of the data.
 _TAILS, _ROUNDS, _LOOKS = (np.inf, 8.0, 5.0, 3.5), 30, 2
+#: Share of draws that give a hypothesis no more than it is denied, if that speaks for it at all.
+_SELDOM = 0.985
 
 
 def tails(residuals: Array) -> dict[float, float]:
@@ -96,6 +103,16 @@ def _tailed(rng: np.random.Generator, shape: tuple[int, ...], freedom: Array) ->
     own = freedom[heavy][:, None, None]
     drawn[heavy] *= np.sqrt((own - 2.0) / rng.chisquare(own, drawn[heavy].shape))
     return drawn
+
+
+def statistic(logs: Array, null: Array) -> Array:
+    """One number that grows with any gap: evidence averaged over hypotheses, each less what noise seldom gives it.
+
+    Args:
+        logs: log evidence of every hypothesis (..., H).
+        null: the same of draws of noise (b, H).
+    """
+    return evidence.mean(logs - np.maximum(np.quantile(null, _SELDOM, axis=0), 0.0))
 
 
 def p_value(observed: float, null: Array) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible, foresee
-from petkin.diagnosis.detect import noise_draws, p_value, tails
+from petkin.diagnosis.detect import noise_draws, p_value, statistic, tails
 from petkin.diagnosis.effect import Hypothesis, Simulator
 from petkin.diagnosis.estimates import estimates, regions, setting, strengths
 from petkin.diagnosis.how_far import closure
@@ -87,7 +87,8 @@ def diagnose(
     progress("looking at every effect", 0.2)
     scan = scan_of(simulator, noise, base, hypotheses)
     drawn = draws_left(rng, draws, (base, noise, bases, loose), scan.projection)
-    p = p_value(float(scan.statistic(base.residual)), scan.statistic(drawn))
+    null = scan.evidence(drawn)
+    p = p_value(float(statistic(scan.evidence(base.residual), null)), statistic(null, null))
     progress("refitting the likely ones", 0.4)
     explained = _explained(simulator, data, _Explained(noise, base, scan, []), always)
     progress("weighing", 0.8)

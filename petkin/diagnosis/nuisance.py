@@ -44,9 +44,20 @@ class Projection:
         return data - (data @ mine + prior @ theirs) @ mine.T
 
     def priors(self, rng: np.random.Generator, count: int, fit: Fit) -> Array:
-        """Draws of the prior's residual (count, p) as a fit leaves it open: at what it is, as far as data tell."""
+        """Draws of the prior's residual (count, p) at the truth, as far as data and prior tell.
+
+        Of the truth's residual o the fit shows (1 - h) (o + e) along each axis of H = S (J'J + S'S)^{-1} S, the hat
+        matrix of the prior S, with e of variance h / (1 - h). o has the variance tau that the fit's residuals ask for,
+        1 at least: a prior that is off is off by more than the fit shows, since it pulls at the fit.
+        """
         theirs = self.axes[self.rows :]
-        return fit.pulled + rng.standard_normal((count, theirs.shape[1])) @ theirs.T
+        h, axes = np.linalg.eigh(theirs @ theirs.T)
+        h = np.clip(h, 0.0, 1.0 - 1e-9)
+        shown, kept = axes.T @ fit.pulled, 1.0 - h
+        tau = max(float((shown**2 - h * kept).sum() / (kept**2).sum()), 1.0)
+        error = h / kept
+        mean, spread = tau / (tau + error) * shown / kept, np.sqrt(tau * error / (tau + error))
+        return (mean + spread * rng.standard_normal((count, len(h)))) @ axes.T
 
     def left_of(self, fit: Fit) -> Array:
         """What the last step of a refit would leave of its residual (n,)."""

@@ -156,10 +156,10 @@ class Scan:
             place += count
         return found
 
-    def statistic(self, residuals: Array) -> Array:
-        """One number that grows with any gap: evidence averaged over hypotheses, a smooth discrepancy among them."""
+    def evidence(self, residuals: Array) -> Array:
+        """log evidence of every hypothesis, and of a smooth discrepancy (..., H + 1)."""
         found = [*self.by_hypothesis(self.each(residuals)).values(), self.unknown(residuals)]
-        return evidence.mean(np.stack(found), 0)
+        return np.stack(found, axis=-1)
 
 
 @dataclass(frozen=True)

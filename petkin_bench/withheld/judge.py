@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import Diagnosis, diagnose
 from petkin.diagnosis.covariance import Noise
+from petkin.diagnosis.detect import statistic
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.refit import State, refit
 from petkin.dynamics import PiecewiseLinear
@@ -130,5 +131,6 @@ def ideal(scan: Scan, answer: Answer, *, seed: int) -> dict[str, object]:
     names = list(found)
     first = np.stack([found[name] for name in names], axis=1).argmax(axis=1)
     right = np.array([names[k] in answer.classes[0] for k in first])
-    claimed = looked.statistic(seen) > np.quantile(looked.statistic(left[_READ:]), 1.0 - _ALARMS)
+    null = looked.evidence(left[_READ:])
+    claimed = statistic(looked.evidence(seen), null) > np.quantile(statistic(null, null), 1.0 - _ALARMS)
     return {"ideal": round(float(right.mean()), 4), "ideal_claimed": round(float((right & claimed).mean()), 4)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +14,12 @@ from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise, inverse_root, loads
-from petkin.diagnosis.detect import noise_draws, p_value, tails
+from petkin.diagnosis.detect import noise_draws, p_value, statistic, tails
 from petkin.diagnosis.effect import Hypothesis, Term, foreknown
 from petkin.diagnosis.noise import common_share, from_flexible, levels, outlying, pooled, second_differences
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.refit import Fit, State
 from petkin.diagnosis.sets import probabilities, smallest_set
 from petkin.diagnosis.unknown import Smooth
 from petkin.diagnosis.where import benjamini_hochberg
@@ -219,6 +221,57 @@ def test_what_a_sample_has_in_common_is_normal_whatever_the_tails() -> None:
 def test_p_value_counts_the_data_themselves() -> None:
     assert p_value(10.0, np.zeros(99)) == pytest.approx(0.01)
     assert p_value(-1.0, np.zeros(99)) == 1.0
+
+
+def test_what_noise_looks_like_is_no_bar_for_what_it_does_not() -> None:
+    """One hypothesis takes wild values for itself and one never does; a gap shows in the second alone."""
+    rng = np.random.default_rng(10)
+    tailed, plain = rng.standard_t(3, (2, 400, 36)), rng.standard_normal((2, 400))
+    loud = evidence.mean(evidence.two_sided(tailed), -1)
+    null, other = (np.stack([loud[i], evidence.two_sided(plain[i])], axis=1) for i in (0, 1))
+    gap = other[:, :] + np.array([0.0, 1.0]) * (evidence.two_sided(plain[1] + 4.5) - other[:, 1])[:, None]
+
+    def claimed(of: Callable[[np.ndarray], np.ndarray], logs: np.ndarray) -> float:
+        return float(np.mean([p_value(value, of(null)) <= 0.03 for value in of(logs)]))
+
+    assert claimed(evidence.mean, gap) < 0.5
+    assert claimed(lambda logs: statistic(logs, null), gap) > 0.9
+    assert claimed(lambda logs: statistic(logs, null), other) < 0.06
+
+
+def test_a_hypothesis_that_noise_speaks_against_is_not_helped() -> None:
+    null = np.full((100, 2), -3.0)
+    assert statistic(np.array([-3.0, 5.0]), null) == pytest.approx(evidence.mean(np.array([-3.0, 5.0])))
+
+
+def test_draws_of_a_prior_that_is_right_are_its_posterior() -> None:
+    fit, projection = _fitted(np.zeros(12))
+    drawn = projection.priors(np.random.default_rng(11), 20_000, fit)
+    theirs = projection.axes[projection.rows :]
+    np.testing.assert_allclose(drawn.mean(axis=0), fit.pulled, atol=0.03)
+    np.testing.assert_allclose(np.cov(drawn.T), theirs @ theirs.T, atol=0.03)
+
+
+def test_draws_of_a_prior_that_is_off_lie_about_the_truth() -> None:
+    """It pulls at the fit, which so shows too little of how far off it is."""
+    off = np.full(12, 4.0)
+    fits = [_fitted(off, seed) for seed in range(40)]
+    shown = np.mean([fit.pulled for fit, _ in fits])
+    drawn = np.mean([projection.priors(np.random.default_rng(12), 200, fit) for fit, projection in fits])
+    assert abs(shown) < 3.2
+    assert abs(drawn) == pytest.approx(4.0, abs=0.3)
+
+
+def _fitted(off: np.ndarray, seed: int = 0) -> tuple[Fit, Projection]:
+    """A linear fit of twelve parameters to thirty values, whose truth lies so many standard deviations off."""
+    rng = np.random.default_rng(seed)
+    jacobian = rng.normal(size=(30, 12)) * 0.35
+    data = jacobian @ off + rng.standard_normal(30)
+    found = np.linalg.solve(jacobian.T @ jacobian + np.eye(12), jacobian.T @ data)
+    state, values = State(found[None], np.zeros(0)), jacobian @ found
+    objective = float(((data - values) ** 2).sum() + (found**2).sum())
+    fit = Fit(state, values, data - values, np.ones(12), -found, objective, jacobian, 12)
+    return fit, Projection.of_fit(fit)
 
 
 def test_probabilities_sum_to_one_and_follow_evidence() -> None:

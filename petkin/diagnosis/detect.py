@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 #: Degrees of freedom that tails may have, infinite for normal ones; rounds in which their scale settles, and in which
 #: wild values are found, as often as those of the data.
 _TAILS, _ROUNDS, _LOOKS = (np.inf, 8.0, 5.0, 3.5), 30, 2
-#: Share of draws that give a hypothesis no more than it is denied, if that speaks for it at all.
+#: Share of draws that give a hypothesis no more than it is denied, if that speaks for it at all: fewer exceed it than a
+#: claim takes.
 _SELDOM = 0.985
 
 

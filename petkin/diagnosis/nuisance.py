@@ -18,6 +18,9 @@ from petkin.diagnosis.refit import Fit
 
 Array = NDArray[np.float64]
 
+#: How much wider than it says a prior may be, in variance.
+_MOST_OFF = 2.0
+
 
 @dataclass(frozen=True)
 class Projection:
@@ -47,16 +50,17 @@ class Projection:
         """Draws of the prior's residual (count, p) at the truth, as far as data and prior tell.
 
         Of the truth's residual o the fit shows (1 - h) (o + e) along each axis of H = S (J'J + S'S)^{-1} S, the hat
-        matrix of the prior S, with e of variance h / (1 - h). o has the variance tau that the fit's residuals ask for,
-        1 at least: a prior that is off is off by more than the fit shows, since it pulls at the fit.
+        matrix of the prior S, with e of variance h / (1 - h). o has the variance that the fit's residuals ask for, 1 at
+        least: a prior that is off is off by more than the fit shows, since it pulls at the fit. A gap pulls as well,
+        and would else be taken for such a prior.
         """
         theirs = self.axes[self.rows :]
         h, axes = np.linalg.eigh(theirs @ theirs.T)
         h = np.clip(h, 0.0, 1.0 - 1e-9)
         shown, kept = axes.T @ fit.pulled, 1.0 - h
-        tau = max(float((shown**2 - h * kept).sum() / (kept**2).sum()), 1.0)
-        error = h / kept
-        mean, spread = tau / (tau + error) * shown / kept, np.sqrt(tau * error / (tau + error))
+        asked = float((shown**2 - h * kept).sum() / (kept**2).sum())
+        variance, error = float(np.clip(asked, 1.0, _MOST_OFF)), h / kept
+        mean, spread = variance / (variance + error) * shown / kept, np.sqrt(variance * error / (variance + error))
         return (mean + spread * rng.standard_normal((count, len(h)))) @ axes.T
 
     def left_of(self, fit: Fit) -> Array:

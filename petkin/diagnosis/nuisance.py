@@ -50,9 +50,11 @@ class Projection:
         """Draws of the prior's residual (count, p) at the truth, as far as data and prior tell.
 
         Of the truth's residual o the fit shows (1 - h) (o + e) along each axis of H = S (J'J + S'S)^{-1} S, the hat
-        matrix of the prior S, with e of variance h / (1 - h). o has the variance that the fit's residuals ask for, 1 at
-        least: a prior that is off is off by more than the fit shows, since it pulls at the fit. A gap pulls as well,
-        and would else be taken for such a prior.
+        matrix of the prior S, with e of variance h / (1 - h). o has the variance that the fit's residuals ask for by
+        their moments, 1 at least: a prior that is off is off by more than the fit shows, since it pulls at the fit. A
+        gap pulls as well; so that it is not taken for such a prior, the variance has a limit.
+
+        Reference: Efron B, Morris C. J Am Stat Assoc 1973;68:117-130 (a prior's variance from what it is for).
         """
         theirs = self.axes[self.rows :]
         h, axes = np.linalg.eigh(theirs @ theirs.T)

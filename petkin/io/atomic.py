@@ -165,7 +165,8 @@ def _remove(lock: Path) -> None:
     folder = lock.with_suffix("")
     shutil.rmtree(folder, ignore_errors=True)
     if not folder.exists():
-        lock.unlink(missing_ok=True)
+        with suppress(OSError):
+            lock.unlink()
 
 
 def _locked(near: Path) -> tuple[Path, BinaryIO]:

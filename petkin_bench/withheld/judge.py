@@ -110,7 +110,7 @@ def ideal(scan: Scan, answer: Answer, *, seed: int) -> dict[str, object]:
 
     The product's templates of weak effects, each averaged over its settings, without a refit: of strong effects, which
     are not linear, a real reader may name more, and of blunders it says nothing. It claims a gap where all templates
-    together have more evidence than in all but 0.05 of draws without one.
+    together, each less what noise seldom gives it, have more evidence than in all but 0.05 of draws without one.
     """
     nothing: dict[str, object] = {"ideal": "", "ideal_claimed": ""}
     if answer.kind not in ("known", "other form"):

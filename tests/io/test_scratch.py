@@ -136,5 +136,11 @@ def test_a_folder_that_cannot_be_locked_stays(tmp_path: Path, monkeypatch: pytes
     assert not list(tmp_path.iterdir())
 
 
-def refused(*_: object) -> None:
+def test_a_lock_that_cannot_be_removed_hides_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "unlink", refused)
+    with pytest.raises(KeyError), temporary_folder(tmp_path):
+        raise KeyError
+
+
+def refused(*_: object, **__: object) -> None:
     raise OSError("no locks available")

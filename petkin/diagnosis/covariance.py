@@ -1,11 +1,15 @@
 """The covariance of noise: its size a channel, a share that a whole sample has in common, errors of what drives all.
 
-cov(r_ck, r_dl) = s_c s_d v_ck v_dk ((1 - q_ck^2) [c = d] + q_ck q_dk) [k = l] + sum_m b_mck b_mdl
+cov(r_ck, r_dl) = s_c s_d v_ck v_dk ((1 - rho) [c = d] + rho) [k = l] + sum_m b_mck b_mdl
 
-q^2 is rho, unless the simulator says that what a sample has in common is a factor of its values: then q_ck^2 is
-rho u_ck^2, and no more than 0.9, where u_ck goes as a channel's values over its noise, with a mean u^2 of 1 over the
-channels of a sample. b_m is what the channels show of one standard deviation of an error of what drives them, where
-that is known with errors.
+unless the simulator says that what a sample has in common is a factor of its values. Then s is the size of what is each
+channel's own, and the first bracket is
+
+    [c = d] + kappa u_ck u_dk,   kappa = rho / (1 - rho)
+
+where u_ck goes as a channel's values over its own noise, with a mean u^2 of 1 over the channels of a sample: rho is the
+share of the variance of a usual channel. b_m is what the channels show of one standard deviation of an error of what
+drives them, where that is known with errors.
 """
 
 from __future__ import annotations
@@ -13,13 +17,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: The largest rho, and q^2: no channel's noise is all in common.
+#: The largest rho: no noise is all in common.
 MOST_SHARED = 0.9
 
 
@@ -29,7 +34,7 @@ class Noise:
 
     Args:
         spread: v, relative standard deviations (C, K).
-        size: s (C,).
+        size: s (C,), of what is each channel's own where there are loads.
         share: rho.
         load: u (C, K), or (C, 1) where samples do not differ; None where all are 1.
         errors: b, what channels show of errors of what drives them (M, C, K).
@@ -46,14 +51,17 @@ class Noise:
         """R^{-1/2} of every sample (K, C, C), or (1, C, C) of all."""
         return inverse_root(len(self.size), np.array(self.share), self.load)
 
+    @property
+    def variance(self) -> Array:
+        """Of every value (C, K), without errors of what drives the channels."""
+        in_common = 0.0 if self.load is None else _excess(self.share) * self.load**2
+        return np.asarray(self._scale**2 * (1.0 + in_common), np.float64)
+
     def mixed(self, alone: Array, common: Array) -> Array:
         """What is each channel's own (..., C, K) and what a sample has in common (..., 1, K), in their shares."""
-        part = self.share if self.load is None else in_common(np.array(self.share), self.load)
-        return np.sqrt(1.0 - part) * alone + np.sqrt(part) * common
-
-    def loaded(self, level: Array, size: Array) -> Array | None:
-        """u of channels with such values (C, K) and sizes (..., C), where this noise has any."""
-        return None if self.load is None else loads(level, size)
+        if self.load is not None:
+            return np.asarray(alone + np.sqrt(_excess(self.share)) * self.load * common, np.float64)
+        return np.sqrt(1.0 - self.share) * alone + np.sqrt(self.share) * common
 
     @cached_property
     def _scale(self) -> Array:
@@ -110,15 +118,14 @@ class Noise:
         return white + ((white @ axes) * (factor(size) - 1.0)) @ axes.T
 
 
-def loads(level: Array, size: Array) -> Array:
-    """u (..., C, K) of channels with such values (C, K) and such noise (..., C), both in units of v."""
-    ratio = level / size[..., None]
-    return np.asarray(ratio / np.sqrt((ratio**2).mean(axis=-2, keepdims=True)), np.float64)
+def loads(level: Array) -> Array:
+    """u (C, K) of channels with such values in units of v (C, K)."""
+    return np.asarray(level / np.sqrt((level**2).mean(axis=0)), np.float64)
 
 
-def in_common(share: Array, load: Array) -> Array:
-    """q^2 (..., C, K) of a share (...) and loads (..., C, K)."""
-    return np.minimum(share[..., None, None] * load**2, MOST_SHARED)
+def _excess(share: Any) -> Any:
+    """kappa of rho."""
+    return share / (1.0 - share)
 
 
 def across(mixing: Array, values: Array) -> Array:
@@ -130,13 +137,11 @@ def across(mixing: Array, values: Array) -> Array:
 
 
 def inverse_root(count: int, share: Array, load: Array | None = None) -> Array:
-    """R^{-1/2} for every share (...) and load (..., C, K): (..., K, C, C); (..., 1, C, C) by the two eigenvalues of R
-    where loads are 1."""
+    """R^{-1/2} for every share (...) by the two eigenvalues of R: (..., 1, C, C); (..., K, C, C) for loads (C, K)."""
     if load is not None:
-        common = np.sqrt(in_common(share, load)).swapaxes(-1, -2)
-        alone = (1.0 - common**2)[..., None] * np.eye(count)
-        values, axes = np.linalg.eigh(alone + common[..., :, None] * common[..., None, :])
-        return (axes / np.sqrt(values)[..., None, :]) @ axes.swapaxes(-1, -2)
+        axis = (load / np.sqrt((load**2).sum(axis=0))).T
+        along = 1.0 / np.sqrt(1.0 + count * _excess(share[..., None]) * (load**2).mean(axis=0)) - 1.0
+        return np.eye(count) + along[..., None, None] * axis[..., :, None] * axis[..., None, :]
     lone, common = 1.0 / np.sqrt(1.0 - share), 1.0 / np.sqrt(1.0 + (count - 1) * share)
     everywhere = np.full((count, count), 1.0 / count)
     found = lone[..., None, None] * (np.eye(count) - everywhere) + common[..., None, None] * everywhere

@@ -84,11 +84,9 @@ def noise_draws(
     draws = draws / wild
     left = without_jumps(_beyond(draws, bases))
     degrees = np.array([max(samples - axes.shape[1], 1) for axes in bases], float)
-    bends, factor = second_differences(draws), noise.load is not None
-    size, shares = size_and_share(left, degrees, bends, noise.size, level, factor=factor)
+    size, shares = size_and_share(left, degrees, second_differences(draws), noise.size, level, noise.load)
     relative = (size / noise.size)[..., None]
-    mixing = inverse_root(channels, shares, noise.loaded(level, size))
-    white = across(mixing, draws / relative).reshape(count, -1)
+    white = across(inverse_root(channels, shares, noise.load), draws / relative).reshape(count, -1)
     return noise.settled(white + noise.erring(rng, count))
 
 

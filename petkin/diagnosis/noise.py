@@ -14,9 +14,8 @@ Array = NDArray[np.float64]
 
 #: Values beyond three times their median size, two standard deviations, are cut; what that takes from normal ones.
 _JUMP, _CUT = 3.0, 0.957
-#: Where what samples have in common is a factor of values, which gains of all channels are too, the largest share, and
-#: the variances in common over those of channels' own that are tried.
-_MOST_FACTOR, _FACTORS = 0.6, np.geomspace(0.05, 2.5, 10)
+#: The largest share where what samples have in common is a factor of values, which gains of all channels are too.
+_MOST_FACTOR = 0.6
 #: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
@@ -58,25 +57,35 @@ def without_jumps(values: Array) -> Array:
     return np.clip(values, -limit, limit) / _CUT
 
 
-def common_share(residuals: Array, load: Array | None = None) -> Array:
-    """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs, or
-    their products between channels against what loads (..., C, K) make them."""
+def common_share(residuals: Array) -> Array:
+    """rho of residuals (..., C, K) in units of their size: the variance of their mean over channels against theirs."""
     count = residuals.shape[-2]
     if count == 1:
         return np.zeros(residuals.shape[:-2])
-    if load is not None:
-        return _loaded_share(residuals, load)
     together = (residuals.mean(axis=-2) ** 2).mean(axis=-1)
     alone = (residuals**2).mean(axis=(-2, -1))
     return np.clip((count * together / np.maximum(alone, 1e-300) - 1.0) / (count - 1.0), 0.0, MOST_SHARED)
 
 
-def _loaded_share(residuals: Array, load: Array) -> Array:
-    scaled, squares = residuals * load, load**2
-    together = (scaled.sum(axis=-2) ** 2 - (scaled**2).sum(axis=-2)).mean(axis=-1)
-    most = (squares.sum(axis=-2) ** 2 - (squares**2).sum(axis=-2)).mean(axis=-1)
-    alone = (residuals**2).mean(axis=(-2, -1))
-    return np.clip(together / np.maximum(alone * most, 1e-300), 0.0, _MOST_FACTOR)
+def with_factor(residuals: Array, freedom: float, load: Array) -> tuple[Array, Array]:
+    """Size of what is each channel's own (...), and rho of a factor (...), of residuals (..., C, K) of one own size.
+
+    Across u every sample has the variance s^2, along it s^2 (1 + kappa |u|^2).
+
+    Args:
+        residuals: in units of v.
+        freedom: degrees of freedom of a channel.
+        load: u (C, K).
+    """
+    count = residuals.shape[-2]
+    squares = (residuals**2).sum(axis=(-2, -1))
+    if count == 1:
+        return np.sqrt(squares / freedom), np.zeros(residuals.shape[:-2])
+    axis = load / np.sqrt((load**2).sum(axis=0))
+    along = ((residuals * axis).sum(axis=-2) ** 2).sum(axis=-1)
+    own = np.maximum(np.minimum((squares - along) / (count - 1.0), squares / count), 1e-300)
+    kappa = np.maximum(along / own - 1.0, 0.0) / count
+    return np.sqrt(own / freedom), np.minimum(kappa / (1.0 + kappa), _MOST_FACTOR)
 
 
 def outlying(residuals: Array) -> Array:
@@ -103,18 +112,16 @@ def levels(values: Array, spread: Array) -> Array:
     return np.asarray(np.maximum(found, 1e-12 * max(float(found.max()), 1e-300)), np.float64)
 
 
-def pooled(sizes: Array, freedom: Array, level: Array, *, factor: bool = False) -> Array:
+def pooled(sizes: Array, freedom: Array, level: Array) -> Array:
     """Sizes (..., C) drawn to what is common to them, all the more the less they differ beyond their own errors.
 
-    That is one size in units of v or one share of the channels' values, whichever they differ less from; or both at
-    once, s^2 (1 + kappa level^2), where samples have a factor in common. ln s^2 varies by _SCATTER / freedom about its
-    channel's, and channels differ by what is left of its variance.
+    That is one size in units of v or one share of the channels' values, whichever they differ less from. ln s^2 varies
+    by _SCATTER / freedom about its channel's, and channels differ by what is left of its variance.
 
     Args:
         sizes: each channel's own.
         freedom: degrees of freedom (C,).
         level: size of the values in units of v (C, K), which counts as it is in the later half of the samples.
-        factor: whether what a sample has in common is a factor of its values.
 
     Reference: Efron B, Morris C. J Am Stat Assoc 1973;68:117-130 (sizes drawn to each other).
     """
@@ -122,10 +129,7 @@ def pooled(sizes: Array, freedom: Array, level: Array, *, factor: bool = False) 
         return sizes
     own = np.log(np.maximum(sizes, 1e-300) ** 2)
     level = np.median(level[:, level.shape[1] // 2 :], axis=1)
-    laws = [np.zeros_like(level), 2.0 * np.log(level)]
-    if factor:
-        laws += [np.log1p(kappa * level**2 / (level**2).mean()) for kappa in _FACTORS]
-    each = own[..., None, :] - np.stack(laws)
+    each = own[..., None, :] - np.stack([np.zeros_like(level), 2.0 * np.log(level)])
     nearest = each.var(axis=-1).argmin(axis=-1)[..., None, None]
     logs = np.take_along_axis(each, nearest, axis=-2)[..., 0, :]
     error = _SCATTER / freedom
@@ -136,7 +140,7 @@ def pooled(sizes: Array, freedom: Array, level: Array, *, factor: bool = False) 
 
 
 def size_and_share(
-    loose: Array, freedom: Array, bends: Array, scale: Array, level: Array, *, factor: bool = False
+    loose: Array, freedom: Array, bends: Array, scale: Array, level: Array, load: Array | None
 ) -> tuple[Array, Array]:
     """Size of the noise (..., C) and its share in common (...), from a flexible fit or from second differences.
 
@@ -146,14 +150,17 @@ def size_and_share(
         bends: second differences of the simulator's residuals (..., C, K - 2).
         scale: of both, in units of v (C,).
         level: size of the values in units of v (C, K).
-        factor: whether what a sample has in common is a factor of its values.
+        load: u (C, K) where what samples have in common is a factor of values.
     """
     by_fit, by_bends = np.sqrt((loose**2).sum(axis=-1) / freedom), np.sqrt((bends**2).mean(axis=-1))
     fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
-    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level, factor=factor)
-    relative, load = (size / scale)[..., None], loads(level, size) if factor else None
-    amid = None if load is None else load[..., 1:-1]
-    return size, np.where(fitted, common_share(loose / relative, load), common_share(bends / relative, amid))
+    if load is not None:
+        told = with_factor(loose, float(freedom.mean()), load)
+        size, share = np.where(fitted, told, with_factor(bends, bends.shape[-1], load[:, 1:-1]))
+        return size[..., None] * scale, share
+    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
+    relative = (size / scale)[..., None]
+    return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative))
 
 
 def first_floor(
@@ -176,21 +183,23 @@ def first_floor(
         factor: whether what a sample has in common is a factor of its values.
     """
     loose, freedom, bends = without_jumps(flexible[0]), flexible[1], second_differences(residuals)
-    size, share = size_and_share(loose, freedom, bends, np.ones(len(spread)), level, factor=factor)
-    size = np.maximum(size, least)
-    return Noise(spread, size, float(share), loads(level, size) if factor else None)
+    load = loads(level) if factor else None
+    size, share = size_and_share(loose, freedom, bends, np.ones(len(spread)), level, load)
+    return Noise(spread, np.maximum(size, least), float(share), load)
 
 
 def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least: Array) -> Noise:
     """Noise estimated again from residuals (C, K, as the data) of a fit; as it was where that is more on the whole."""
     scaled = without_jumps(residuals / noise.spread)
     freedom = max(scaled.size - parameters, scaled.size // 3) / len(scaled)
-    own = np.sqrt((scaled**2).sum(axis=1) / freedom)
-    drawn = pooled(own, np.full(len(scaled), freedom), level, factor=noise.load is not None)
-    size = np.maximum(drawn, least)
+    load, even = None if noise.load is None else loads(level), np.ones(len(scaled))
+    if load is None:
+        size = pooled(np.sqrt((scaled**2).sum(axis=1) / freedom), freedom * even, level)
+        share = common_share(scaled / np.maximum(size, least)[:, None])
+    else:
+        own, share = with_factor(scaled, freedom, load)
+        size = own * even
+    size = np.maximum(size, least)
     if np.log(size / noise.size).mean() >= 0:
         return noise
-    load = noise.loaded(level, size)
-    return replace(
-        noise, size=size, share=float(min(noise.share, common_share(scaled / size[:, None], load))), load=load
-    )
+    return replace(noise, size=size, share=float(min(noise.share, share)), load=load)

@@ -17,8 +17,12 @@ def _no_axes(jacobian: Any, penalty: Any) -> Projection:
     return Projection(np.zeros((len(jacobian) + len(penalty), 0)), len(jacobian))
 
 
-def _no_share(residuals: Any, _: Any = None) -> Any:
+def _no_share(residuals: Any) -> Any:
     return np.zeros(residuals.shape[:-2])
+
+
+def _no_factor(residuals: Any, freedom: float, _: Any) -> Any:
+    return np.sqrt((residuals**2).sum(axis=(-2, -1)) / residuals.shape[-2] / freedom), _no_share(residuals)
 
 
 def _no_pairs(*_: Any) -> list[Any]:
@@ -29,7 +33,7 @@ def _no_pairs(*_: Any) -> list[Any]:
 _STAND_INS: dict[str, tuple[tuple[str, str, str, Any], ...]] = {
     "projection": (("nuisance", "Projection", "of", _no_axes),),
     "priors": (("effect", "", "_PRIOR_WIDTHS", 1e3), ("effect", "", "_REACH", 1e3)),
-    "common_noise": (("noise", "", "common_share", _no_share),),
+    "common_noise": (("noise", "", "common_share", _no_share), ("noise", "", "with_factor", _no_factor)),
     "pairs": (("diagnose", "", "pairs", _no_pairs),),
 }
 PARTS = tuple(_STAND_INS)

@@ -27,9 +27,14 @@ def test_without_ranges_a_strength_is_free_and_then_it_is_not() -> None:
 
 def test_without_common_noise_none_is_found() -> None:
     together = np.ones((4, 1)) * np.random.default_rng(0).standard_normal((1, 40))
+    apart = together + 0.5 * np.random.default_rng(1).standard_normal((4, 40))
     assert noise.common_share(together) > 0.5
+    assert noise.with_factor(apart, 40.0, np.ones((4, 40)))[1] > 0.5
     with without("common_noise"):
         assert noise.common_share(together) == 0.0
+        size, share = noise.with_factor(apart, 40.0, np.ones((4, 40)))
+        assert share == 0.0
+        assert size == pytest.approx(np.sqrt(np.mean(apart**2)))
 
 
 def test_a_whole_engine_stays_whole() -> None:

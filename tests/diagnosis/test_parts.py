@@ -16,7 +16,15 @@ from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise, inverse_root, loads
 from petkin.diagnosis.detect import noise_draws, p_value, statistic, tails
 from petkin.diagnosis.effect import Hypothesis, Term, foreknown
-from petkin.diagnosis.noise import common_share, from_flexible, levels, outlying, pooled, second_differences
+from petkin.diagnosis.noise import (
+    common_share,
+    from_flexible,
+    levels,
+    outlying,
+    pooled,
+    second_differences,
+    with_factor,
+)
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, State
@@ -43,30 +51,57 @@ def test_whitening_undoes_a_factor_of_the_values() -> None:
     rng = np.random.default_rng(3)
     noise = Noise(np.ones((5, 20000)), np.ones(5), 0.4, LOADS[:, None])
     drawn = noise.mixed(rng.standard_normal((5, 20000)), rng.standard_normal((1, 20000)))
-    np.testing.assert_allclose(np.cov(drawn), 0.4 * np.outer(LOADS, LOADS) + np.diag(1 - 0.4 * LOADS**2), atol=0.03)
+    kappa = 0.4 / 0.6
+    np.testing.assert_allclose(np.cov(drawn), kappa * np.outer(LOADS, LOADS) + np.eye(5), atol=0.03)
+    np.testing.assert_allclose(noise.variance[:, 0], 1.0 + kappa * LOADS**2)
     np.testing.assert_allclose(np.cov(noise.whiten(drawn).reshape(5, -1)), np.eye(5), atol=0.03)
     np.testing.assert_allclose(noise.coloured(noise.whiten(drawn)), drawn)
 
 
-@pytest.mark.parametrize("load", [None, np.ones((5, 1)), LOADS[:, None]])
-def test_common_share_is_recovered(load: np.ndarray | None) -> None:
+def test_common_share_is_recovered() -> None:
     rng = np.random.default_rng(0)
     for share in (0.0, 0.3, 0.45):
-        noise = Noise(np.ones((5, 4000)), np.ones(5), share, load)
+        noise = Noise(np.ones((5, 4000)), np.ones(5), share)
         r = noise.mixed(rng.standard_normal((5, 4000)), rng.standard_normal((1, 4000)))
-        assert float(common_share(r, load)) == pytest.approx(share, abs=0.04)
+        assert float(common_share(r)) == pytest.approx(share, abs=0.04)
 
 
-def test_loads_of_one_are_no_loads() -> None:
-    residuals = np.random.default_rng(4).standard_normal((7, 5, 30))
-    shares = common_share(residuals)
-    alike = np.ones((7, 5, 1))
-    np.testing.assert_allclose(common_share(residuals, alike), shares, atol=1e-12)
-    np.testing.assert_allclose(inverse_root(5, shares, alike), inverse_root(5, shares), atol=1e-10)
+@pytest.mark.parametrize("load", [np.ones(5), LOADS])
+def test_a_factor_and_what_is_beside_it_are_recovered(load: np.ndarray) -> None:
+    rng = np.random.default_rng(0)
+    every = np.tile(load[:, None], 4000)
+    for share in (0.0, 0.3, 0.55):
+        noise = Noise(np.ones((5, 4000)), np.full(5, 0.7), share, every)
+        r = 0.7 * noise.mixed(rng.standard_normal((5, 4000)), rng.standard_normal((1, 4000)))
+        size, found = with_factor(r, 4000.0, every)
+        assert float(size) == pytest.approx(0.7, rel=0.02)
+        assert float(found) == pytest.approx(share, abs=0.04)
 
 
-def test_a_factor_of_the_values_weighs_less_in_noisier_channels() -> None:
-    found = loads(np.array([[10.0, 5.0], [10.0, 10.0], [20.0, 5.0]]), np.array([1.0, 4.0, 2.0]))
+def test_a_factor_that_all_channels_show_alike_is_a_share() -> None:
+    """Of the same residuals both laws find one covariance."""
+    residuals = 0.3 * np.random.default_rng(4).standard_normal((7, 5, 30))
+    residuals += 0.4 * np.random.default_rng(5).standard_normal((7, 1, 30))
+    share = common_share(residuals)
+    size, found = with_factor(residuals, 30.0, np.ones((5, 30)))
+    np.testing.assert_allclose(found, np.minimum(share, 0.6), atol=1e-12)
+    under = np.array([0.2, 0.5])
+    alike, plain = inverse_root(5, under, np.ones((5, 1))), inverse_root(5, under)
+    np.testing.assert_allclose(alike / np.sqrt(1.0 - under)[:, None, None, None], plain, atol=1e-12)
+    free = share < 0.6
+    own = (residuals**2).mean(axis=(-2, -1)) * (1.0 - share)
+    np.testing.assert_allclose(size[free] ** 2, own[free], rtol=1e-9)
+
+
+def test_one_channel_has_no_factor() -> None:
+    residuals = 3.0 * np.random.default_rng(1).standard_normal((1, 5000))
+    size, share = with_factor(residuals, 5000.0, np.ones((1, 5000)))
+    assert float(share) == 0.0
+    assert float(size) == pytest.approx(3.0, rel=0.04)
+
+
+def test_loads_go_as_the_values_over_the_noise_in_every_sample() -> None:
+    found = loads(np.array([[10.0, 5.0], [2.5, 2.5], [10.0, 2.5]]))
     np.testing.assert_allclose(found / found[0], [[1.0, 1.0], [0.25, 0.5], [1.0, 0.5]])
     np.testing.assert_allclose(np.mean(found**2, axis=0), 1.0)
 
@@ -75,24 +110,13 @@ def test_a_factor_of_the_values_weighs_as_they_do_in_every_sample() -> None:
     """Two channels that cross: whitened by their values at the time, a factor leaves nothing besides its own size."""
     rng = np.random.default_rng(5)
     values = np.stack([np.linspace(4.0, 0.5, 3000), np.linspace(0.5, 4.0, 3000), np.full(3000, 2.0)])
-    data = values * (1.0 + 0.4 * rng.standard_normal(3000)) + rng.standard_normal(values.shape)
-    load = loads(values, np.ones(3))
-    common = (0.4 * values) ** 2
-    size = np.sqrt(1.0 + common)
-    noise = Noise(size, np.ones(3), float((common / size**2).mean()), load)
-    white = noise.whiten(data - values).reshape(values.shape)
+    factor = 0.8 / np.sqrt((values**2).mean(axis=0))
+    data = values * (1.0 + factor * rng.standard_normal(3000)) + rng.standard_normal(values.shape)
+    size, share = with_factor(data - values, 3000.0, loads(values))
+    assert float(share) == pytest.approx(0.64 / 1.64, abs=0.03)
+    white = Noise(np.ones(values.shape), np.full(3, size), float(share), loads(values)).whiten(data - values)
     for part in (slice(0, 500), slice(2500, 3000)):
-        assert np.linalg.norm(np.cov(white[:, part]) - np.eye(3), 2) < 0.25
-
-
-def test_sizes_of_a_factor_are_drawn_to_its_law() -> None:
-    """Channels of one own noise whose values are unlike: what they have in common grows with the values."""
-    level, freedom = np.array([27.0, 18.0, 15.0, 5.0, 3.0]), np.full(5, 20.0)
-    true = np.sqrt(1.0 + 3.0 * level**2 / np.mean(level**2))
-    rough = true * np.exp(0.15 * np.random.default_rng(7).standard_normal((400, 5)))
-    error = [np.log(pooled(rough, freedom, level[:, None], factor=factor) / true).std() for factor in (True, False)]
-    assert error[0] < 0.12
-    assert error[0] < 0.8 * error[1]
+        assert np.linalg.norm(np.cov(white.reshape(values.shape)[:, part]) - np.eye(3), 2) < 0.25
 
 
 def test_only_a_simulator_that_says_so_has_loads() -> None:
@@ -103,7 +127,8 @@ def test_only_a_simulator_that_says_so_has_loads() -> None:
     assert base_fit(simulator, truth + noise)[1].load is None
     found = base_fit(replace(simulator, common_factor=True), truth + noise)[1]
     assert found.load is not None
-    np.testing.assert_allclose(found.load, loads(levels(truth, found.spread), found.size), rtol=0.05)
+    np.testing.assert_allclose(found.load, loads(levels(truth, found.spread)), rtol=0.05)
+    assert np.ptp(found.size) == 0.0
 
 
 def test_second_differences_see_noise_through_drifts_and_steps() -> None:
@@ -189,6 +214,17 @@ def test_draws_have_the_size_and_share_that_were_asked_for() -> None:
     draws = noise_draws(rng, 300, noise, {np.inf: 1.0}, [np.zeros((36, 0))] * 5, np.ones((5, 1)))
     assert draws.shape == (300, 180)
     assert float((draws**2).mean()) == pytest.approx(1.0, abs=0.06)
+
+
+def test_draws_with_a_factor_are_white_where_both_numbers_are_found_in_them() -> None:
+    """Along the factor, whose variance K values tell, a draw over what it finds of it has K / (K - 2) on average."""
+    rng = np.random.default_rng(5)
+    noise = Noise(np.ones((5, 36)), np.full(5, 0.3), 0.5, np.tile(LOADS[:, None], 36))
+    draws = noise_draws(rng, 600, noise, {np.inf: 1.0}, [np.zeros((36, 0))] * 5, np.ones((5, 1)))
+    assert float((draws**2).mean()) == pytest.approx(1.0, abs=0.06)
+    axis = LOADS / np.linalg.norm(LOADS)
+    along = (draws.reshape(600, 5, 36) * axis[:, None]).sum(axis=1)
+    assert float((along**2).mean()) == pytest.approx(36.0 / 34.0, abs=0.04)
 
 
 def test_tails_are_told_apart() -> None:
@@ -335,10 +371,12 @@ def test_heavy_tails_are_seen_in_a_single_scan_and_normal_ones_left_alone() -> N
 
 def test_no_more_than_a_share_is_taken_for_a_factor_in_common() -> None:
     """Gains of all channels at once would else be noise, however large."""
-    load = np.array([1.2, 0.9, 0.8])
-    gain = load[:, None] * np.sin(np.arange(400.0)) * np.sqrt(2.0)
+    load = np.tile(np.array([1.2, 0.9, 0.8])[:, None] / np.sqrt(np.mean(np.square([1.2, 0.9, 0.8]))), 400)
+    gain = load * np.sin(np.arange(400.0)) * np.sqrt(2.0)
     noise = 0.1 * np.random.default_rng(0).standard_normal(gain.shape)
-    assert float(common_share(gain + noise, load[:, None])) == 0.6
+    size, share = with_factor(gain + noise, 400.0, load)
+    assert float(share) == 0.6
+    assert float(size) == pytest.approx(0.1, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def read_states(
     known = Known(input.plasma, input.whole_blood, simulator.clock)
     scan = Measured(torch.tensor(data), torch.ones(data.shape[1]), known)
     scene = members.scene(scan)
-    variances, near = torch.tensor((noise.size[:, None] * noise.spread) ** 2), _near(simulator, here)
+    variances, near = torch.tensor(noise.variance), _near(simulator, here)
     witnesses, tissue = [], []
     for i, reader in enumerate(members.readers(scene)):
         progress(f"reading states, member {i + 1} of {len(members.paths)}", i / len(members.paths))
@@ -212,7 +212,7 @@ def _added(simulator: RegionalSimulator, state: State, noise: Noise, scene: Scen
     vB = np.asarray(model.vascular.volume)[:, None]
     frames = (1.0 - vB) * frames + vB * Tabulated(model.input, simulator.clock, simulator.nodes).blood
     course = Course(*(torch.tensor(part) for part in (frames, at_ends, over_steps)))
-    variances = torch.tensor((noise.size[:, None] * noise.spread) ** 2)
+    variances = torch.tensor(noise.variance)
     return lacking(course, scene, variances, _near(simulator, state)).double().numpy()
 
 

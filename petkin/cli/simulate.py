@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -111,6 +112,7 @@ def simulate(
       petkin simulate --phantom brain3d --tracer fdg --subjects 4 --sessions 2 --psf 5 --effect arterial_delay=5
     """
     from petkin.cli.progress import progress_bar
+    from petkin.effects import read_injection
     from petkin.study.simulate import simulate as simulate_study
     from petkin.study.simulation import read_settings, tissue_model
 
@@ -139,6 +141,8 @@ def simulate(
         sampler_dispersion=sampler_dispersion,
         truth_tacs=truth_tacs,
     )
+    for remark in (remark for text in settings.effects for remark in read_injection(text).remarks):
+        print(remark, file=sys.stderr)
     with progress_bar() as step:
         written = simulate_study(settings, advance=lambda done, total: step("simulating", done / total))
     scans = settings.subjects * settings.sessions

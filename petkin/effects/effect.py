@@ -99,6 +99,16 @@ class Injection:
         """The forward model with the effect in it."""
         return self.effect.inject(model, self.values)
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """A line for every value beyond its plausible range: what it means, and what is plausible."""
+        beyond = [p for p in self.effect.parameters if not p.lower <= self.values[p.symbol] <= p.upper]
+        return tuple(
+            f"{self.effect.name}: {p.symbol}={self.values[p.symbol]:g} is simulated as asked, but lies beyond what is "
+            f"plausible, {p.lower:g} to {p.upper:g}{'' if p.unit == '1' else ' ' + p.unit} ({p.meaning})."
+            for p in beyond
+        )
+
 
 def placed(model: ForwardModel, values: Mapping[str, Any], symbol: str) -> Any:
     """The amplitude by region: as given where it is one a region, else in the region that is named.

@@ -160,6 +160,16 @@ def test_info_of_the_study(fitted: tuple[Path, Ran]) -> None:
     assert [finding["code"] for finding in overview["findings"]] == ["blood-unit"]
 
 
+def test_an_effect_beyond_what_is_plausible_is_simulated_with_a_remark(tmp_path: Path) -> None:
+    """motion_step=3 asks for three times the others' mean, and whoever types it may mean 3 mm."""
+    options = ("--voxel-size", 10.5, "--frames", 20)
+    ran = run_command("simulate", *options, "--effect", "motion_step=3", "--out", tmp_path / "far")
+    assert ran.status == 0
+    assert ran.err.startswith("motion_step: share=3 is simulated as asked, but lies beyond what is plausible, 0 to 0.3")
+    near = run_command("simulate", *options, "--effect", "motion_step=0.1", "--out", tmp_path / "near")
+    assert (near.status, "plausible" in near.err) == (0, False)
+
+
 def test_the_papers_observation_is_fitted_with_its_own_decay(tmp_path: Path) -> None:
     """Its frames are not decay-corrected and decay with tau = 110 min; with F-18's half-life VT is 15 to 30 % low."""
     study = tmp_path / "paper"

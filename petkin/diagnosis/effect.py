@@ -54,6 +54,7 @@ class Hypothesis:
         split_by: the measurement that would tell it from what looks like it.
         log_odds: what is known of it before the data, beyond that it may be there.
         trust: part of the range that is likely where what it concerns was measured with care; 1 for all of it.
+        least: what no amplitude lies below.
         witness: who told `log_odds`; of effects that one witness told, the surest alone counts in a pair.
     """
 
@@ -71,6 +72,7 @@ class Hypothesis:
     split_by: str = ""
     log_odds: float = 0.0
     trust: float = 1.0
+    least: float = -np.inf
     witness: str = ""
 
     @property
@@ -80,7 +82,7 @@ class Hypothesis:
     @property
     def limits(self) -> tuple[float, float]:
         """Where a fit may go: three ranges, but a relative amplitude stays below one where its range does."""
-        lower, upper = _REACH * self.lower, _REACH * self.upper
+        lower, upper = max(_REACH * self.lower, self.least), _REACH * self.upper
         if self.unit != "1":
             return lower, upper
         return max(lower, min(self.lower, -_ALMOST_ALL)), min(upper, max(self.upper, _ALMOST_ALL))

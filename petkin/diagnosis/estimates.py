@@ -21,6 +21,8 @@ from petkin.diagnosis.which import Candidate, columns_of, informed
 Array = NDArray[np.float64]
 
 _Z90 = 1.6448536269514722
+#: Standard error of a median over that of a mean, of normal values.
+_OF_MEDIAN = 1.2533141373155003
 #: Amplitudes below this share of their range change values by their slope.
 _SLIGHT = 0.02
 
@@ -62,6 +64,8 @@ def _from_scan(scan: Scan, residual: Array, each: Array, name: str) -> Estimate:
 
 
 def _amplitude(term: Term, errors: Array) -> Estimate:
+    """One number with its 90 % interval: of amplitudes that differ between channels the clearest, or the median of an
+    effect that all channels have about alike."""
     hypothesis = term.hypothesis
     if hypothesis.flag:
         return Estimate("amplitude", "flag", 1.0, 1.0, 1.0)
@@ -69,9 +73,12 @@ def _amplitude(term: Term, errors: Array) -> Estimate:
     errors = np.maximum(errors, 1e-12)
     weight = errors**-2.0 / (errors**-2.0).sum()
     mean, error = float(weight @ values), float((errors**-2.0).sum() ** -0.5)
-    if hypothesis.by_channel and np.ptp(values / errors) > 4.0 * _Z90:  # not one amplitude for all: the clearest one
-        clearest = int(np.argmax(np.abs(values) / errors))
-        mean, error = float(values[clearest]), float(errors[clearest])
+    if hypothesis.by_channel and np.ptp(values / errors) > 4.0 * _Z90:  # not one amplitude for all
+        if hypothesis.alike:
+            mean, error = float(np.median(values)), _OF_MEDIAN * float(values.std(ddof=1)) / values.size**0.5
+        else:
+            clearest = int(np.argmax(np.abs(values) / errors))
+            mean, error = float(values[clearest]), float(errors[clearest])
     return Estimate("amplitude", hypothesis.unit, mean, mean - _Z90 * error, mean + _Z90 * error)
 
 

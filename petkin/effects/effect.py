@@ -42,6 +42,7 @@ class Effect:
             named here and not "onset", "frame" or "region" stay at their start.
         suits: whether a forward model can have it.
         trust: part of the range that is likely where the files say that what it concerns was measured with care.
+        least: what no amplitude of a diagnosis lies below, where that is known; else a fit may go beyond the range.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Effect:
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     suits: Callable[[ForwardModel], bool] = _always
     trust: float = 1.0
+    least: float = -math.inf
 
     def __post_init__(self) -> None:
         if self.stage not in STAGES:

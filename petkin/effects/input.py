@@ -24,6 +24,8 @@ _TOLERANCE = 1e-5
 _NEAREST_RATE = 1e-3
 #: Straight pieces this many are taken to follow their smeared curve as closely as they do the curve itself.
 _DENSE = 300
+#: The longest time constant of a sampling line, s: no record is smeared by more.
+_SLOWEST_LINE = 12.0
 #: Rate of the tissue around a vessel that an image-derived input takes up from, 1/min.
 _TISSUE_RATE = 0.1
 
@@ -167,11 +169,14 @@ ARTERIAL_DELAY = Effect(
 DISPERSION = Effect(
     name="dispersion",
     stage="input",
-    parameters=ParameterSet((Parameter("tau", "s", 5.0, -12.0, 12.0, meaning="time constant of the smear"),)),
+    parameters=ParameterSet(
+        (Parameter("tau", "s", 5.0, -_SLOWEST_LINE, _SLOWEST_LINE, meaning="time constant of the smear"),)
+    ),
     meaning="the tissue sees the recorded curve convolved with (1/tau) e^{-t/tau}, or (< 0) the record is so convolved",
     source="Iida H et al. J Cereb Blood Flow Metab 1986;6:536-545, doi:10.1038/jcbfm.1986.99",
     change=_disperse,
     split_by="a step of activity passed through the sampling line, or a vessel in early frames of 5 s or less",
+    least=-_SLOWEST_LINE,
 )
 
 PARENT_FRACTION = Effect(

@@ -16,6 +16,7 @@ from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise, inverse_root, loads
 from petkin.diagnosis.detect import noise_draws, p_value, statistic, tails
 from petkin.diagnosis.effect import Hypothesis, Term, foreknown
+from petkin.diagnosis.estimates import _amplitude
 from petkin.diagnosis.noise import (
     common_share,
     from_flexible,
@@ -350,6 +351,28 @@ def test_a_quiet_channel_between_loud_ones_is_not_wild() -> None:
     rng = np.random.default_rng(5)
     residuals = rng.standard_normal((5, 23)) * np.array([3.0, 3.0, 0.1, 4.0, 4.0])[:, None]
     assert outlying(residuals)[2].max() < 10.0
+
+
+def test_an_amplitude_that_cannot_be_lower_is_not() -> None:
+    line = Hypothesis("line", "s", "tau", "s", -12.0, 12.0, least=-12.0)
+    assert line.limits == (-12.0, 36.0)
+    assert Hypothesis("any", "s", "tau", "s", -12.0, 12.0).limits == (-36.0, 36.0)
+    assert line.widths == (18.0, 18.0)
+
+
+def test_the_size_of_an_effect_that_channels_have_unlike() -> None:
+    """Of one that acts in some alone the clearest; the median of one that acts in all about alike."""
+    values, errors = np.array([0.02, 0.05, 0.06, 0.055, 0.07]), np.array([0.0005, 0.004, 0.004, 0.004, 0.004])
+    local, alike = (
+        _amplitude(Term(Hypothesis("h", "s", "a", "1", 0.0, 0.2, by_channel=True, alike=each), values, {}), errors)
+        for each in (False, True)
+    )
+    assert local.value == 0.02
+    assert alike.value == 0.055
+    assert alike.low < 0.05
+    assert alike.high > 0.06
+    same = Term(Hypothesis("h", "s", "a", "1", 0.0, 0.2, by_channel=True, alike=True), np.full(5, 0.05), {})
+    assert _amplitude(same, np.full(5, 0.01)).value == pytest.approx(0.05)
 
 
 def test_one_witness_is_heard_once() -> None:

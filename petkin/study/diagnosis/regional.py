@@ -280,6 +280,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         flag=effect.flag,
         split_by=effect.split_by,
         trust=effect.trust if effect.name in simulator.measured else 1.0,
+        least=effect.least,
         log_odds=_BLUNDER if effect.flag else 0.0,
     )
 

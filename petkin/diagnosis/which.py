@@ -190,11 +190,16 @@ def refitted(
     behind = base.objective - (1.0 - _LAGGING) * ahead + 2.0 * _WITHIN
     fit = refit(simulator, data, noise, start, iterations=_STEPS, renewed=_RENEWED, behind=behind)
     channels, known = len(simulator.channels), len(base.state.terms)
-    terms = fit.state.terms[known:]
-    value = after_refit(base, fit, channels, known)
-    if any(_is_about_one(term.hypothesis) for term in terms):
+    if any(_is_about_one(term.hypothesis) for term in fit.state.terms[known:]):
         one = refit(simulator, data, noise, _as_one(fit, channels, known), iterations=_STEPS, renewed=_RENEWED)
+        if one.objective < fit.objective:  # one number went further than as many: they stood in a side valley
+            other = refit(simulator, data, noise, _as_many(one, fit), iterations=_STEPS, renewed=_RENEWED)
+            fit = min(fit, other, key=lambda f: f.objective)
+        value = after_refit(base, fit, channels, known)
         value = float(np.logaddexp(value, after_refit(base, one, channels, known)) - np.log(2.0))
+    else:
+        value = after_refit(base, fit, channels, known)
+    terms = fit.state.terms[known:]
     names = tuple(sorted(t.hypothesis.name for t in terms))
     return Candidate(names, fit, value + foreknown(terms), base.objective - fit.objective, terms)
 
@@ -214,6 +219,15 @@ def _as_one(fit: Fit, channels: int, known: int) -> State:
             mean = float(tells @ np.asarray(terms[i].amplitude) / tells.sum())
             terms[i] = replace(terms[i], hypothesis=replace(terms[i].hypothesis, by_channel=False), amplitude=mean)
     return replace(fit.state, terms=tuple(terms))
+
+
+def _as_many(one: Fit, like: Fit) -> State:
+    """Where a refit may begin whose amplitudes differ between channels as another's do: where that with one stands."""
+    terms = tuple(
+        replace(term, hypothesis=other.hypothesis, amplitude=np.zeros_like(other.amplitude) + term.amplitude)
+        for term, other in zip(one.state.terms, like.state.terms)
+    )
+    return replace(one.state, terms=terms)
 
 
 def columns_of(fit: Fit, channels: int, known: int) -> list[dict[str, slice]]:

@@ -114,6 +114,15 @@ def test_a_simulator_without_blood_is_told_so_by_a_whole_brain(tmp_path: Path) -
     assert told["value"] == pytest.approx(truth, rel=0.2)
 
 
+def test_trapping_in_a_whole_brain_is_named_alone(tmp_path: Path) -> None:
+    """With a number a region its refit ends in a side valley, from which one number for all leads out."""
+    study = simulated(tmp_path, roi=16, seed=15, effects=("vascular_trapping=0.2",))
+    answer = diagnosed(study, tmp_path / "out", include=("blood_volume",)).answer
+    assert answer["verdict"]["set"] == ["vascular_trapping"]
+    assert answer["causes"][0]["closure"]["value"] > 0.9
+    assert answer["causes"][0]["estimate"]["amplitude"]["value"] == pytest.approx(0.2, rel=0.25)
+
+
 @pytest.mark.parametrize(("model", "said"), [("2tcm", True), ("2tcm3k", False)])
 def test_irreversible_binding_is_pointed_at(tmp_path: Path, model: str, said: bool) -> None:
     one = diagnosed(simulated(tmp_path, tracer="fdg"), tmp_path / "out", model=model, include=INCLUDES)

@@ -190,15 +190,15 @@ def refitted(
     behind = base.objective - (1.0 - _LAGGING) * ahead + 2.0 * _WITHIN
     fit = refit(simulator, data, noise, start, iterations=_STEPS, renewed=_RENEWED, behind=behind)
     channels, known = len(simulator.channels), len(base.state.terms)
+    one = None
     if any(_is_about_one(term.hypothesis) for term in fit.state.terms[known:]):
         one = refit(simulator, data, noise, _as_one(fit, channels, known), iterations=_STEPS, renewed=_RENEWED)
         if one.objective < fit.objective:  # one number went further than as many: they stood in a side valley
             other = refit(simulator, data, noise, _as_many(one, fit), iterations=_STEPS, renewed=_RENEWED)
             fit = min(fit, other, key=lambda f: f.objective)
-        value = after_refit(base, fit, channels, known)
+    value = after_refit(base, fit, channels, known)
+    if one is not None:
         value = float(np.logaddexp(value, after_refit(base, one, channels, known)) - np.log(2.0))
-    else:
-        value = after_refit(base, fit, channels, known)
     terms = fit.state.terms[known:]
     names = tuple(sorted(t.hypothesis.name for t in terms))
     return Candidate(names, fit, value + foreknown(terms), base.objective - fit.objective, terms)

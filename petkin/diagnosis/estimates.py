@@ -21,8 +21,8 @@ from petkin.diagnosis.which import Candidate, columns_of, informed
 Array = NDArray[np.float64]
 
 _Z90 = 1.6448536269514722
-#: Standard error of a median over that of a mean, of normal values.
-_OF_MEDIAN = 1.2533141373155003
+#: Standard error of a median over that of a mean, of many normal values: sqrt(pi / 2).
+_OF_MEDIAN = float(np.sqrt(np.pi / 2.0))
 #: Amplitudes below this share of their range change values by their slope.
 _SLIGHT = 0.02
 

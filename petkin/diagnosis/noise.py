@@ -70,12 +70,14 @@ def common_share(residuals: Array) -> Array:
 def with_factor(residuals: Array, freedom: float, load: Array) -> tuple[Array, Array]:
     """Size of what is each channel's own (...), and rho of a factor (...), of residuals (..., C, K) of one own size.
 
-    Across u every sample has the variance s^2, along it s^2 (1 + kappa |u|^2).
+    Across u every sample has the variance s^2, along it s^2 (1 + kappa |u|^2); both are the likeliest of normal values.
 
     Args:
         residuals: in units of v.
         freedom: degrees of freedom of a channel.
         load: u (C, K).
+
+    Reference: Tipping ME, Bishop CM. J R Stat Soc B 1999;61:611-622 (a factor beside equal noise; here u is known).
     """
     count = residuals.shape[-2]
     squares = (residuals**2).sum(axis=(-2, -1))

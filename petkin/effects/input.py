@@ -24,7 +24,7 @@ _TOLERANCE = 1e-5
 _NEAREST_RATE = 1e-3
 #: Straight pieces this many are taken to follow their smeared curve as closely as they do the curve itself.
 _DENSE = 300
-#: The longest time constant of a sampling line, s: no record is smeared by more.
+#: The longest time constant of a sampling line, s (10 to 12: Iida, see below): no record is smeared by more.
 _SLOWEST_LINE = 12.0
 #: Rate of the tissue around a vessel that an image-derived input takes up from, 1/min.
 _TISSUE_RATE = 0.1

@@ -340,9 +340,9 @@ def test_a_value_beyond_its_plausible_range_is_remarked_on() -> None:
     (remark,) = read_injection("motion_step=3").remarks
     assert "share=3" in remark
     assert "0 to 0.3 (share of the value that comes from the other regions' mean)" in remark
-    shorter, kinder = read_injection("time_varying_kinetics=5,width=1").remarks
-    assert "release=5" in shorter
-    assert "2 to 40 min" in kinder
+    release, width = read_injection("time_varying_kinetics=5,width=1").remarks
+    assert "release=5" in release
+    assert "2 to 40 min" in width
 
 
 @pytest.mark.parametrize(

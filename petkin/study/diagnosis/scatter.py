@@ -75,8 +75,7 @@ def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> S
     expected = np.log(_differenced_size(spread))
     rng = np.random.default_rng((seed, 29))
     shape = (_DRAWS, *spread.shape)
-    drawn = np.sqrt(1.0 - noise.share) * rng.standard_normal(shape)
-    drawn += np.sqrt(noise.share) * rng.standard_normal((_DRAWS, 1, spread.shape[1]))
+    drawn = noise.mixed(rng.standard_normal(shape), rng.standard_normal((_DRAWS, 1, spread.shape[1])))
     for r, axes in enumerate(bases):
         drawn[:, r] -= (drawn[:, r] @ axes) @ axes.T
     null = _slope(drawn * spread, expected)

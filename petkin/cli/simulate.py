@@ -141,7 +141,7 @@ def simulate(
         sampler_dispersion=sampler_dispersion,
         truth_tacs=truth_tacs,
     )
-    for remark in (remark for text in settings.effects for remark in read_injection(text).remarks):
+    for remark in (remark for text in settings.effects for remark in read_injection(text, imaged=True).remarks):
         print(remark, file=sys.stderr)
     with progress_bar() as step:
         written = simulate_study(settings, advance=lambda done, total: step("simulating", done / total))

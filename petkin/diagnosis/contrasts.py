@@ -66,6 +66,7 @@ class Contrasted:
 
     Args:
         evidence: log evidence by hypothesis.
+        settings: every setting of a hypothesis with its log evidence.
         best: by hypothesis.
         p_value: of none of them.
         unnamed: log evidence of a gap of no name, no more than a name's with what is left beside it; None where none
@@ -73,6 +74,7 @@ class Contrasted:
     """
 
     evidence: Mapping[str, float]
+    settings: Mapping[str, Sequence[tuple[Mapping[str, float], float]]]
     best: Mapping[str, Best]
     p_value: float
     unnamed: float | None = None
@@ -108,10 +110,11 @@ def judge_contrasts(
             size = float(information[i, i])
             entry = (pattern, float(scores[i]), size, _evidence(pattern, drawn[:, i], size))
             by_name.setdefault(pattern.name, []).append(entry)
-    found, best, nulls = {}, {}, []
+    found, settings, best, nulls = {}, {}, {}, []
     for name, entries in by_name.items():
         each = np.array([float(_evidence(p, np.asarray(score), size)) for p, score, size, _ in entries])
         found[name] = _mean(each[:, None])[0]
+        settings[name] = [(pattern.setting, float(value)) for (pattern, *_), value in zip(entries, each)]
         nulls.append(_mean(np.stack([null for *_, null in entries])))
         pattern, score, information, _ = entries[int(np.argmax(each))]
         best[name] = _sized(pattern, score, information)
@@ -123,7 +126,7 @@ def judge_contrasts(
         every.append(unnamed)
         unnamed = min([unnamed, *(found[name] + beyond for name, beyond in left.items() if found[name] > 0.0)])
     p = p_value(_mean(np.array(every)[:, None])[0], _mean(np.stack(nulls)))
-    return Contrasted({n: float(v) for n, v in found.items()}, best, p, unnamed)
+    return Contrasted({n: float(v) for n, v in found.items()}, settings, best, p, unnamed)
 
 
 def _evidence(pattern: Pattern, score: Array, information: float) -> Array:

@@ -53,6 +53,7 @@ class Hypothesis:
         flag: whether it is there or not, at amplitude 1.
         split_by: the measurement that would tell it from what looks like it.
         log_odds: what is known of it before the data, beyond that it may be there.
+        told: log of how much likelier each setting is than an average one, as far as that is known; none for alike.
         trust: part of the range that is likely where what it concerns was measured with care; 1 for all of it.
         least: what no amplitude lies below.
         witness: who told `log_odds`; of effects that one witness told, the surest alone counts in a pair.
@@ -71,9 +72,15 @@ class Hypothesis:
     flag: bool = False
     split_by: str = ""
     log_odds: float = 0.0
+    told: tuple[float, ...] = ()
     trust: float = 1.0
     least: float = -np.inf
     witness: str = ""
+
+    @property
+    def ways(self) -> list[tuple[Mapping[str, float], float]]:
+        """Every setting with what is told of it."""
+        return list(zip(self.settings, self.told or (0.0,) * len(self.settings), strict=True))
 
     @property
     def signed(self) -> bool:

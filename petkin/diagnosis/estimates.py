@@ -41,8 +41,8 @@ def estimates(candidate: Candidate, simulator: Simulator, base: Fit) -> tuple[Es
             width = _Z90 * float(error[place["onset"]][0]) if "onset" in place else 0.0
             onset = float(term.setting["onset"])
             found.append(Estimate("onset", "min", onset, max(onset - width, 0.0), onset + width))
-        if "frame" in term.setting:
-            found.append(Estimate("frame", "1", *(3 * [float(term.setting["frame"])])))
+        numbers = (symbol for symbol in ("frame", "axis") if symbol in term.setting)
+        found += [Estimate(symbol, "1", *(3 * [float(term.setting[symbol])])) for symbol in numbers]
     return tuple(found)
 
 

@@ -26,21 +26,24 @@ _NEAR, _OTHERWISE = 6.0, 0.8
 @dataclass(frozen=True)
 class Template:
     """What a hypothesis adds at a weak amplitude, per unit of it: `change` (C, K), and whitened columns, (n, 1) or one
-    a channel (n, C)."""
+    a channel (n, C); `told` is how much likelier its setting is than an average one."""
 
     hypothesis: Hypothesis
     setting: dict[str, float]
     change: Array
     columns: Array
+    told: float = 0.0
 
     @classmethod
-    def of(cls, hypothesis: Hypothesis, setting: dict[str, float], change: Array, noise: Noise) -> Template:
+    def of(
+        cls, hypothesis: Hypothesis, setting: dict[str, float], change: Array, noise: Noise, told: float = 0.0
+    ) -> Template:
         local = np.eye(len(change))[:, :, None] * change[None] if hypothesis.by_channel else change[None]
-        return cls(hypothesis, setting, change, noise.whiten(local).T)
+        return cls(hypothesis, setting, change, noise.whiten(local).T, told)
 
     def under(self, noise: Noise) -> Template:
         """The same under another noise."""
-        return Template.of(self.hypothesis, self.setting, self.change, noise)
+        return Template.of(self.hypothesis, self.setting, self.change, noise, self.told)
 
 
 def templates(simulator: Simulator, noise: Noise, fit: Fit, hypotheses: Sequence[Hypothesis]) -> tuple[Template, ...]:
@@ -49,11 +52,11 @@ def templates(simulator: Simulator, noise: Noise, fit: Fit, hypotheses: Sequence
     count = len(simulator.channels)
     base = fit.state.terms
     for hypothesis in hypotheses:
-        for setting in hypothesis.settings:
+        for setting, told in hypothesis.ways:
             size = hypothesis.typical
             term = Term(hypothesis, np.full(count, size) if hypothesis.by_channel else size, dict(setting))
             moved = simulator.predict(fit.state.own, fit.state.shared, (*base, term))
-            found.append(Template.of(hypothesis, dict(setting), (moved - fit.values) / size, noise))
+            found.append(Template.of(hypothesis, dict(setting), (moved - fit.values) / size, noise, told))
     return tuple(found)
 
 
@@ -69,6 +72,7 @@ class Scan:
         ends = np.cumsum([t.columns.shape[1] for t in found])
         self._places = [slice(end - t.columns.shape[1], end) for t, end in zip(found, ends)]
         self._information = [self.columns[:, p].T @ self.projected[:, p] for p in self._places]
+        self._told = np.array([t.told for t in found])
         self._smooth = smooth
 
     def by_template(self) -> list[tuple[Array, Array]]:
@@ -95,7 +99,8 @@ class Scan:
         return max((i for i, t in enumerate(self.templates) if t.hypothesis.name == name), key=lambda i: each[i])
 
     def each(self, residuals: Array) -> Array:
-        """log evidence of every template for what a refit left of data (..., n): (..., templates)."""
+        """log evidence of every template for what a refit left of data (..., n), with what is told of its setting:
+        (..., templates)."""
         scores = residuals @ self.projected
         found = np.empty((*residuals.shape[:-1], len(self.templates)))
         if self._by_channel:
@@ -105,7 +110,7 @@ class Scan:
             found[..., self._by_channel] = self._spread.by_channel(mine, alike, signed)
         for kind, templates in self._alone.items():
             found[..., templates.which] = kind(scores[..., templates.columns], templates.information)
-        return found
+        return found + self._told
 
     @cached_property
     def _alone(self) -> dict[Callable[[Array, Array], Array], _Alone]:
@@ -143,9 +148,10 @@ class Scan:
         return "" if self._smooth is None else self._smooth.likeliest(residual)
 
     def excess(self, each: Array, name: str) -> float:
-        """What choosing the best setting of a hypothesis gains over an average one."""
+        """What choosing the best setting of a hypothesis gains over an average one, beyond what was told of it."""
         values = np.array([e for t, e in zip(self.templates, each) if t.hypothesis.name == name])
-        return float(values.max() - evidence.mean(values))
+        best = self.best(each, name)
+        return float(each[best] - self.templates[best].told - evidence.mean(values))
 
     def by_hypothesis(self, each: Array) -> dict[str, Array]:
         """Evidence averaged over the settings of every hypothesis."""

@@ -55,14 +55,19 @@ def effect_named(name: str) -> Effect:
     raise InputError(f"There is no effect {name!r}; choose one of {', '.join(e.name for e in EFFECTS)}.")
 
 
-def read_injection(text: str) -> Injection:
+def read_injection(text: str, *, imaged: bool = False) -> Injection:
     """An effect as options give it: "NAME", "NAME=AMPLITUDE" or "NAME=AMPLITUDE,SYMBOL=VALUE", in the effect's units.
+
+    Args:
+        text: the option.
+        imaged: whether it goes into a picture, not into curves of regions.
 
     Raises:
         InputError: an unknown effect or symbol, or a value that is not a number.
     """
     name, _, rest = text.partition("=")
-    found = effect_named(name.strip())
+    effect = effect_named(name.strip())
+    found = effect.imaged if imaged and effect.imaged is not None else effect
     given: dict[str, float] = {}
     for place, piece in enumerate(rest.split(",") if rest.strip() else ()):
         symbol, equals, value = piece.partition("=")

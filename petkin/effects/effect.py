@@ -43,6 +43,7 @@ class Effect:
         suits: whether a forward model can have it.
         trust: part of the range that is likely where the files say that what it concerns was measured with care.
         least: what no amplitude of a diagnosis lies below, where that is known; else a fit may go beyond the range.
+        imaged: its form where there is a picture, of which regions have their share.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Effect:
     suits: Callable[[ForwardModel], bool] = _always
     trust: float = 1.0
     least: float = -math.inf
+    imaged: Effect | None = None
 
     def __post_init__(self) -> None:
         if self.stage not in STAGES:
@@ -68,6 +70,11 @@ class Effect:
     def amplitude(self) -> Parameter:
         """The parameter that says how strong the effect is."""
         return self.parameters.members[0]
+
+    def form(self, symbol: str) -> Effect:
+        """The effect in the form whose amplitude has this symbol."""
+        other = self.imaged
+        return other if other is not None and other.amplitude.symbol == symbol != self.amplitude.symbol else self
 
     def values(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """A value for every parameter: the given ones, and starts for the rest. An amplitude may be one a region.

@@ -20,7 +20,7 @@ from petkin.dynamics.arrays import library
 from petkin.effects.course import Course
 from petkin.effects.responses import Exact, Responses, alike
 from petkin.errors import InputError
-from petkin.imaging import CountingNoise, FrameObservation
+from petkin.imaging import CountingNoise, Exchange, FrameObservation, Motion
 from petkin.inputs import InputFunction
 from petkin.kinetics import BLOOD_VOLUME, compartment_model
 
@@ -91,10 +91,19 @@ class Vessels:
 
 @dataclass(frozen=True)
 class Camera:
-    """Imaging stage: FWHM of the point spread of images, mm, and what happens to the regions' values besides."""
+    """Imaging stage.
+
+    Args:
+        point_spread: FWHM of images, mm.
+        distortions: what happens to the regions' values besides.
+        motions: how the picture moves, given the clock.
+        moves: what that adds to regions; None where there is a picture that moves itself, or where none tells.
+    """
 
     point_spread: float = 0.0
     distortions: tuple[Distortion, ...] = ()
+    motions: tuple[Callable[[FrameObservation], Motion], ...] = ()
+    moves: Exchange | None = None
 
 
 @dataclass(frozen=True)
@@ -160,6 +169,10 @@ class ForwardModel:
 
     def shown(self, values: Any) -> Any:
         """What the scanner makes of what the regions hold."""
+        if self.imaging.moves is not None:
+            for motion in self.imaging.motions:
+                shares = alike(self.imaging.moves.by(motion(self.clock)), values)
+                values = values + library(values).einsum("krs,...sk->...rk", shares, values)
         for distortion in self.imaging.distortions:
             values = distortion(values, self.clock)
         if self.noise.bias:

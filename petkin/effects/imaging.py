@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,8 @@ from petkin.dynamics import Parameter, ParameterSet
 from petkin.effects.effect import REGION, Change, Effect, placed
 from petkin.effects.forward_model import Distortion, ForwardModel, highest, peak
 from petkin.effects.responses import alike
-from petkin.imaging import FrameObservation
+from petkin.errors import InputError
+from petkin.imaging import WAYS, FrameObservation, Motion
 
 Array = NDArray[np.float64]
 _SHARE = "share of the value that comes from the other regions' mean"
@@ -60,6 +62,37 @@ def _mixing(course: Callable[[FrameObservation, Mapping[str, Any]], Array | floa
     return _distorting(build)
 
 
+def _moving(course: Callable[[FrameObservation, Mapping[str, Any]], tuple[Array, Array]]) -> Change:
+    """The change that moves the picture, by a course over the frames of how far and of the share of the frame."""
+
+    def change(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+        way = values["axis"]
+        if way not in range(WAYS):
+            raise InputError(f"axis={way:g}: 0, 1, 2 move along that axis of the image, 3, 4, 5 turn in a plane.")
+
+        def motion(clock: FrameObservation) -> Motion:
+            return Motion(int(way), *course(clock, values))
+
+        camera = replace(model.imaging, motions=(*model.imaging.motions, motion))
+        return replace(model, imaging=camera)
+
+    return change
+
+
+def _blurred(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
+    camera = replace(model.imaging, point_spread=math.hypot(model.imaging.point_spread, values["fwhm"]))
+    return replace(model, imaging=camera)
+
+
+def _passed(clock: FrameObservation) -> Array:
+    """Share of the scan that has passed in the middle of every frame (K,)."""
+    return clock.frames.mid / clock.frames.end[-1]
+
+
+def _of_every_frame(clock: FrameObservation) -> Array:
+    return np.ones(len(clock.frames))
+
+
 def _attenuated(model: ForwardModel, values: Mapping[str, Any]) -> Distortion:
     gain = _by_region(model, values, "gain")
     return lambda x, clock: x * _factor(gain * after(clock, values["onset"]), x)
@@ -86,7 +119,7 @@ def _dead(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
 
 
 def _drifting(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
-    return lambda x, clock: x * _factor(values["gain"] * clock.frames.mid / clock.frames.end[-1], x)
+    return lambda x, clock: x * _factor(values["gain"] * _passed(clock), x)
 
 
 def _stepping(_: ForwardModel, values: Mapping[str, Any]) -> Distortion:
@@ -97,13 +130,54 @@ def _share(start: float, top: float, meaning: str, low: float = 0.0) -> Paramete
     return Parameter("share", "1", start, low, top, meaning=meaning)
 
 
+def _told(model: ForwardModel) -> bool:
+    """Whether a picture tells what motion brings into regions."""
+    return model.imaging.moves is not None
+
+
 def _several(model: ForwardModel) -> bool:
     return len(model.regions) > 1
 
 
 _ONSET = Parameter("onset", "min", 30.0, 0.0, 600.0, meaning="when it sets in")
+_TRACKER = "the head tracker's record"
+_BEFORE_AND_AFTER = _TRACKER + ", or images reconstructed before and after the onset"
 _GEOMETRY = "a segmentation from magnetic resonance and the scanner's point spread"
 
+_GAIN = Parameter("gain", "1", 0.05, -0.3, 0.3, meaning="relative change of a region's values")
+_MOVED = Parameter("moved", "mm", 3.0, -10.0, 10.0, meaning="how far the head moves, or its rim where it turns")
+_AXIS = Parameter("axis", "1", 0.0, 0.0, WAYS - 1.0, meaning="0 to 2: along x, y, z; 3 to 5: turned in xy, xz, yz")
+
+BLUR = Effect(
+    name="partial_volume",
+    stage="imaging",
+    parameters=ParameterSet((Parameter("fwhm", "mm", 5.0, 0.0, 15.0, meaning="full width at half maximum"),)),
+    meaning="the picture is less sharp than the scanner's point spread has it",
+    source="2.5 to 7 mm of scanners and reconstructions; Cysouw MCF et al. EJNMMI Res 2019",
+    change=_blurred,
+    split_by=_GEOMETRY,
+    suits=lambda model: False,
+)
+MOTION = Effect(
+    name="motion_step",
+    stage="imaging",
+    parameters=ParameterSet((_MOVED, _ONSET, _AXIS)),
+    meaning="the head moves once, at `onset`: what lies beside a region enters it on one side, and leaves on another",
+    source="Jin X et al. Phys Med Biol 2013: 2 to 20 mm",
+    change=_moving(lambda clock, v: (v["moved"] * _of_every_frame(clock), after(clock, v["onset"]))),
+    split_by=_BEFORE_AND_AFTER,
+    suits=_told,
+)
+SLOW_MOTION = Effect(
+    name="motion_drift",
+    stage="imaging",
+    parameters=ParameterSet((_MOVED, _AXIS)),
+    meaning="the head drifts: it moves evenly over the scan, so far by its end",
+    source="1 to 5 mm an hour",
+    change=_moving(lambda clock, v: (v["moved"] * _passed(clock), _of_every_frame(clock))),
+    split_by=_TRACKER,
+    suits=_told,
+)
 PARTIAL_VOLUME = Effect(
     name="partial_volume",
     stage="imaging",
@@ -114,6 +188,7 @@ PARTIAL_VOLUME = Effect(
     split_by=_GEOMETRY,
     regional=("share",),
     suits=_several,
+    imaged=BLUR,
 )
 MOTION_STEP = Effect(
     name="motion_step",
@@ -122,9 +197,10 @@ MOTION_STEP = Effect(
     meaning="the head moves once: from `onset` on, regions hold a share of what lies around them",
     source="Jin X et al. Phys Med Biol 2013, motion of 5 mm: 5 to 10 % in regions",
     change=_mixing(lambda clock, v: after(clock, v["onset"])),
-    split_by="the head tracker's record, or images reconstructed before and after the onset",
+    split_by=_BEFORE_AND_AFTER,
     regional=("share",),
     suits=_several,
+    imaged=MOTION,
 )
 MOTION_DRIFT = Effect(
     name="motion_drift",
@@ -132,17 +208,16 @@ MOTION_DRIFT = Effect(
     parameters=ParameterSet((_share(0.1, 0.3, _SHARE + " at the end"), replace(REGION, start=0.0))),
     meaning="the head drifts: the share of what lies around a region grows linearly over the scan",
     source="range as motion_step",
-    change=_mixing(lambda clock, v: clock.frames.mid / clock.frames.end[-1]),
-    split_by="the head tracker's record",
+    change=_mixing(lambda clock, v: _passed(clock)),
+    split_by=_TRACKER,
     regional=("share",),
     suits=_several,
+    imaged=SLOW_MOTION,
 )
 ATTENUATION_MISMATCH = Effect(
     name="attenuation_mismatch",
     stage="imaging",
-    parameters=ParameterSet(
-        (Parameter("gain", "1", 0.05, -0.3, 0.3, meaning="relative change of a region's values"), _ONSET, REGION)
-    ),
+    parameters=ParameterSet((_GAIN, _ONSET, REGION)),
     meaning="from `onset` on the attenuation map no longer fits: values of some regions change by a factor",
     source="McCord ME et al. J Nucl Med 1992;33:1209-1214: up to 30 % at 2 cm",
     change=_distorting(_attenuated),

@@ -42,6 +42,7 @@ from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
 from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
 from petkin.study.diagnosis.sidecar import blunders
+from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states
 from petkin.study.diagnosis.state_files import write_states
 from petkin.study.fit_scan import Progress
@@ -95,7 +96,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
         seconds = time.process_time() - started
         text = answer(
             one.found,
-            simulator,
+            one.simulator,
             subject=source.label,
             model=simulator.label,
             seed=request.seed,
@@ -103,7 +104,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
             shown=one.shown,
             states=one.states,
         )
-        report = gap_report(source, curves, simulator, one, text, request.command_line)
+        report = gap_report(source, curves, one, text, request.command_line)
         relative = report_path(source.entities, desc="gap")
         with AtomicFolder(out) as folder:
             write_study_description(folder, name, out=out, raw=request.target)
@@ -157,19 +158,14 @@ def _diagnosed(
         fit = based[0]
         names = frozenset(h.name for h in candidates)
         imaged = look_at_image(picture, simulator, fit, names, seed=request.seed)
-    seen = imaged.log_odds if imaged is not None else {}
+        simulator = replace(simulator, moves=moves(imaged.voxels))
+        candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
     told = {b.effect: b.odds for b in shown}
+    candidates = tuple(replace(h, log_odds=told.get(h.name, h.log_odds)) for h in candidates)
     found = diagnose(
         simulator,
         curves.values,
-        tuple(
-            replace(
-                h,
-                log_odds=seen.get(h.name, 0.0) + told.get(h.name, h.log_odds),
-                witness="image" if h.name in seen else "",
-            )
-            for h in candidates
-        ),
+        candidates if imaged is None else tuple(map(imaged.looked.told, candidates)),
         always=ALWAYS,
         elsewhere=None if imaged is None else imaged.elsewhere,
         seed=request.seed,
@@ -182,7 +178,7 @@ def _diagnosed(
     states = None
     if members is not None:
         states = read_states(members, simulator, curves.values, based, candidates, seed=request.seed, progress=progress)
-    return Judged(found, shown, gap, states)
+    return Judged(found, simulator, shown, gap, states)
 
 
 def _law_of_noise(

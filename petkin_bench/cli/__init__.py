@@ -23,7 +23,7 @@ speed.command("train")(learning.speed_train)
 speed.command("diagnose")(gaps.speed_diagnose)
 for command in (fitting.accuracy, learning.run, learning.tables, learning.forecast):
     app.command()(command)
-for command in (gaps.diagnose, gaps.real_scans, gaps.withheld):
+for command in (gaps.diagnose, gaps.real_scans, gaps.survey, gaps.withheld):
     app.command()(command)
 
 

@@ -74,6 +74,27 @@ def real_scans(
     typer.echo(f"Appended to {append_rows('real_scans', [row | settings for row in rows])}")
 
 
+def survey(
+    work: Annotated[Path, typer.Option(help="Folder of the studies; those there are not made again.")] = Path(
+        "bench-survey"
+    ),
+    brain: Annotated[list[str] | None, typer.Option(help="Only brains whose name holds this; repeatable.")] = None,
+    seeds: Annotated[int, typer.Option(help="Brains of each kind.", min=1)] = 1,
+    keep: Annotated[bool, typer.Option(help="Append the rows to petkin_bench/results/survey.csv.")] = True,
+) -> None:
+    """Simulate whole brains of 16 regions with one effect in each, and diagnose them as a user would.
+
+    One forward model makes and judges them: this is no blind check, but all that lies between two commands is in it.
+    """
+    from petkin_bench.provenance import append_rows
+    from petkin_bench.survey import measure_survey, text_of
+
+    rows = measure_survey(work, only=tuple(brain or ()), seeds=seeds, told=lambda line: typer.echo(line, err=True))
+    typer.echo(text_of(rows))
+    if keep:
+        typer.echo(f"Appended to {append_rows('survey', rows)}")
+
+
 def withheld(
     cases: Annotated[int, typer.Option(help="Scans; those with a verdict are not judged again.", min=1)] = 150,
     seed: Annotated[int, typer.Option(help="Of the scans; splits never share one.", min=0)] = 0,

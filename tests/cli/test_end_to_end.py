@@ -161,13 +161,20 @@ def test_info_of_the_study(fitted: tuple[Path, Ran]) -> None:
 
 
 def test_an_effect_beyond_what_is_plausible_is_simulated_with_a_remark(tmp_path: Path) -> None:
-    """motion_step=3 asks for three times the others' mean, and whoever types it may mean 3 mm."""
     options = ("--voxel-size", 10.5, "--frames", 20)
-    ran = run_command("simulate", *options, "--effect", "motion_step=3", "--out", tmp_path / "far")
+    ran = run_command("simulate", *options, "--effect", "motion_step=30", "--out", tmp_path / "far")
     assert ran.status == 0
-    assert ran.err.startswith("motion_step: share=3 is simulated as asked, but lies beyond what is plausible, 0 to 0.3")
-    near = run_command("simulate", *options, "--effect", "motion_step=0.1", "--out", tmp_path / "near")
+    remark = "motion_step: moved=30 is simulated as asked, but lies beyond what is plausible, -10 to 10 mm"
+    assert ran.err.startswith(remark)
+    near = run_command("simulate", *options, "--effect", "motion_step=3", "--out", tmp_path / "near")
     assert (near.status, "plausible" in near.err) == (0, False)
+
+
+def test_a_slice_cannot_be_moved_out_of_its_plane(tmp_path: Path) -> None:
+    ran = run_command("simulate", "--voxel-size", 10.5, "--effect", "motion_step=3,axis=2", "--out", tmp_path / "flat")
+    assert ran.status == 2
+    assert "axis=2: the picture has one voxel along axis 2 and cannot move there." in ran.err
+    assert not (tmp_path / "flat").exists()
 
 
 def test_the_papers_observation_is_fitted_with_its_own_decay(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from petkin.effects import (
     read_injection,
 )
 from petkin.errors import InputError
-from petkin.imaging import CountingNoise, FrameObservation, frame_schedule
+from petkin.imaging import CountingNoise, Exchange, FrameObservation, frame_schedule
 from petkin.inputs import analytic_input, feng_plasma, paper_plasma
 
 #: Names by stage as the gap report has them.
@@ -337,12 +337,56 @@ def test_options_name_effects() -> None:
 
 def test_a_value_beyond_its_plausible_range_is_remarked_on() -> None:
     assert read_injection("motion_step=0.2,onset=40").remarks == ()
+    assert read_injection("motion_step=3,onset=40", imaged=True).remarks == ()
     (remark,) = read_injection("motion_step=3").remarks
     assert "share=3" in remark
     assert "0 to 0.3 (share of the value that comes from the other regions' mean)" in remark
+    (remark,) = read_injection("motion_drift=30", imaged=True).remarks
+    assert "moved=30" in remark
+    assert "-10 to 10 mm" in remark
     release, width = read_injection("time_varying_kinetics=5,width=1").remarks
     assert "release=5" in release
     assert "2 to 40 min" in width
+
+
+def test_a_picture_is_moved_and_regions_by_what_it_tells(one_tissue: ForwardModel) -> None:
+    """Regions gain D x, from the onset on or more and more; without D a picture moves, and regions stay."""
+    values, count = one_tissue.frame_values(), len(one_tissue.regions)
+    step = read_injection("motion_step=2,axis=4,onset=30", imaged=True).into(one_tissue)
+    assert torch.equal(step.frame_values(), values)
+    (motion,) = (motion(one_tissue.clock) for motion in step.imaging.motions)
+    assert motion.way == 4
+    assert set(motion.far) == {2.0}
+    frames = one_tissue.clock.frames
+    assert not motion.share[frames.end <= 30.0].any()
+    assert (motion.share[frames.start >= 30.0] == 1.0).all()
+    by_mm = np.random.default_rng(2).normal(0.0, 0.01, (6, count, count))
+    far = np.array([-5.0, 0.0, 5.0])
+    told = dataclasses.replace(one_tissue, imaging=Camera(moves=Exchange(far, far[:, None, None] * by_mm[:, None])))
+    brought = torch.from_numpy(by_mm[4]) @ values
+    seen = read_injection("motion_step=2,axis=4,onset=30", imaged=True).into(told).frame_values()
+    torch.testing.assert_close(seen, values + 2.0 * brought * torch.from_numpy(motion.share))
+    drift = read_injection("motion_drift=3,axis=4", imaged=True).into(told).frame_values()
+    passed = torch.from_numpy(one_tissue.clock.frames.mid / one_tissue.clock.frames.end[-1])
+    torch.testing.assert_close(drift, values + 3.0 * brought * passed)
+
+
+def test_blur_of_a_picture_adds_to_its_point_spread(one_tissue: ForwardModel) -> None:
+    sharp = dataclasses.replace(one_tissue, imaging=Camera(3.0))
+    assert read_injection("partial_volume=4", imaged=True).into(sharp).imaging.point_spread == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("axis", ["6", "-1", "0.5", "nan"])
+def test_a_way_of_moving_that_there_is_not_is_refused(axis: str, one_tissue: ForwardModel) -> None:
+    with pytest.raises(InputError):
+        read_injection(f"motion_step=2,axis={axis}", imaged=True).into(one_tissue)
+
+
+def test_an_effect_has_one_form_by_the_symbol_of_its_amplitude() -> None:
+    motion, gain = effect_named("motion_step"), effect_named("gain_step")
+    assert motion.form("share") is motion
+    assert motion.form("moved") is motion.imaged
+    assert gain.form("gain") is gain
 
 
 @pytest.mark.parametrize(

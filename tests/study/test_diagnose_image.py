@@ -1,12 +1,10 @@
-"""Spatial effects of a 4-D image, made here by moving and blurring voxels: named, sized in mm, mapped.
-
-Air that moves into border regions lowers their means as no share of other regions does, so that a gain may be named
-beside the motion.
-"""
+"""Spatial effects of a 4-D image, made here by moving and blurring voxels, or by `petkin simulate`: named, sized in mm,
+mapped."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from petkin.diagnosis import Contrasted
+from petkin.diagnosis import Contrasted, Hypothesis
 from petkin.study.diagnose import Diagnosed, diagnose_study
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.spatial import Looked
@@ -73,14 +71,28 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
 def test_motion_is_named_with_its_size_and_onset(moved: Diagnosed) -> None:
     answer = moved.answer
     jsonschema.validate(answer, SCHEMA)
-    assert all("motion_step" in label for label in answer["verdict"]["set"])
-    leader = answer["causes"][0]
-    second = "second_" if leader["effects"].index("motion_step") else ""
-    amplitude = leader["estimate"][f"{second}amplitude"]
-    assert amplitude["unit"] == "mm"
-    assert amplitude["value"] == pytest.approx(3.0, abs=1.0)
-    assert leader["estimate"][f"{second}onset_min"]["value"] == pytest.approx(ONSET_MIN, abs=3.0)
+    assert answer["verdict"]["set"] == ["motion_step"]
+    estimate = answer["causes"][0]["estimate"]
+    assert estimate["amplitude"]["unit"] == "mm"
+    assert estimate["amplitude"]["value"] == pytest.approx(3.0, abs=1.0)
+    assert estimate["onset_min"]["value"] == pytest.approx(ONSET_MIN, abs=3.0)
+    assert estimate["axis"]["value"] == 1
+    assert "mm along the image's y axis from" in answer["verdict"]["sentence"]
     assert {stage["stage"] for stage in answer["where"]["stages"]} >= {"imaging"}
+
+
+@pytest.mark.parametrize(("effect", "axis"), [("motion_step=2,axis=2,onset=30", 2), ("motion_drift=4,axis=3", 3)])
+def test_motion_that_was_simulated_is_named(tmp_path: Path, effect: str, axis: int) -> None:
+    settings = SimulationSettings(
+        out=tmp_path / "study", phantom="brain3d", voxel_size=7.0, noise=8.0, psf=5.0, effects=(effect,)
+    )
+    includes = ("blood_volume", "partial_volume")
+    (one,) = diagnose_study(DiagnoseRequest(simulate(settings), include=includes))
+    name, _, size = effect.partition("=")
+    assert one.answer["verdict"]["set"] == [name]
+    estimate = one.answer["causes"][0]["estimate"]
+    assert estimate["amplitude"]["value"] == pytest.approx(float(size.split(",")[0]), rel=0.35)
+    assert estimate["axis"]["value"] == axis
 
 
 def test_the_map_shows_edges_of_both_signs(moved: Diagnosed) -> None:
@@ -124,8 +136,26 @@ def test_an_image_in_order_has_no_gap_and_a_map_of_noise(tmp_path: Path) -> None
 def test_silence_of_the_image_counts_only_as_far_as_the_effect_would_show() -> None:
     """A gain in one region alone tilts nothing; every blur shows. Strong evidence is lent nearly whole."""
     names = ("attenuation_mismatch", "motion_step", "partial_volume")
-    silent = Looked(Contrasted(dict.fromkeys(names, -9.0), {}, 0.5), 0.0).log_odds
+    silent = Looked(Contrasted(dict.fromkeys(names, -9.0), {}, {}, 0.5), 0.0).log_odds
     assert silent["attenuation_mismatch"] > silent["motion_step"] > silent["partial_volume"]
     assert silent["attenuation_mismatch"] == pytest.approx(np.log(0.5), abs=1e-3)
-    loud = Looked(Contrasted(dict.fromkeys(names, 40.0), {}, 0.5), 0.0).log_odds
+    loud = Looked(Contrasted(dict.fromkeys(names, 40.0), {}, {}, 0.5), 0.0).log_odds
     assert min(loud.values()) > 39.0
+
+
+def test_the_image_says_which_settings_are_likely() -> None:
+    """Weights have a mean of one over settings, follow axis and onset, and none falls below what may not show."""
+    seen = [
+        ({"axis": float(a), "onset": t}, 8.0 if (a, t) == (1, 30.0) else -2.0) for a in (0, 1) for t in (20.0, 30.0)
+    ]
+    looked = Looked(Contrasted({"motion_step": 6.6}, {"motion_step": seen}, {}, 0.5), 0.0)
+    settings = tuple({"axis": float(a), "onset": t} for a in (0, 1) for t in (20.0, 25.0, 30.0))
+    hypothesis = Hypothesis("motion_step", "imaging", "moved", "mm", -10.0, 10.0, settings)
+    told = looked.told(hypothesis)
+    assert (told.log_odds, told.witness) == (looked.log_odds["motion_step"], "image")
+    weights = np.exp(told.told)
+    assert weights.mean() == pytest.approx(1.0)
+    assert list(np.argsort(weights)[-2:]) == [4, 5]
+    assert np.ptp(weights[[0, 1, 2, 3]]) < 1e-12
+    beside = replace(hypothesis, name="gain_step")
+    assert looked.told(beside) is beside

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from petkin import __version__
 from petkin.diagnosis import DRIVE, ONE, WITHIN, Cause, Diagnosis, State, Visible, indistinct
 from petkin.effects import effect_named
+from petkin.imaging import PLANES
 from petkin.kinetics import compartment_model
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
 from petkin.study.diagnosis.sidecar import Blunder
@@ -31,6 +32,11 @@ _UNNAMED = {
     ONE: "; it is likeliest in one region alone",
     WITHIN: "; it differs within regions, as a gain of the image would that varies smoothly or from plane to plane",
 }
+#: How a picture moves, by the number of the way.
+_WAYS = (
+    *(f"along the image's {axis} axis" for axis in "xyz"),
+    *(f"of its rim, turning in the image's {''.join('xyz'[axis] for axis in plane)} plane" for plane in PLANES),
+)
 _DIGITS = 6
 
 
@@ -179,8 +185,9 @@ def _strength(cause: Cause) -> str:
     if first.unit == "flag":
         return ""
     unit = "" if first.unit == "1" else f" {first.unit}"
-    onset = next((e for e in cause.estimates if e.symbol == "onset"), None)
-    return f" of {first.value:.3g}{unit}" + ("" if onset is None else f" from {onset.value:.3g} min on")
+    known = {e.symbol: e.value for e in cause.estimates[::-1]}
+    way = f" {_WAYS[int(known['axis'])]}" if "axis" in known else ""
+    return f" of {first.value:.3g}{unit}{way}" + (f" from {known['onset']:.3g} min on" if "onset" in known else "")
 
 
 def told(shown: tuple[Blunder, ...]) -> str:

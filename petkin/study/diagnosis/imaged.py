@@ -113,7 +113,11 @@ def _sized(cause: Cause, looked: Looked) -> Cause:
                 size = looked.width_mm
                 low, high = size * max(1.0 - spread, 0.0), size * (1.0 + spread)
             estimates[amplitudes[place]] = Estimate("amplitude", "mm", size, low, high)
-        if "onset" in best.pattern.setting and len(cause.effects) == 1:
-            onset = float(best.pattern.setting["onset"])
-            estimates = [e for e in estimates if e.symbol != "onset"] + [Estimate("onset", "min", onset, onset, onset)]
+        if len(cause.effects) == 1:
+            units = {"onset": "min"} | ({"axis": "1"} if name in _IN_MM else {})
+            setting = {
+                symbol: float(best.pattern.setting[symbol]) for symbol in units if symbol in best.pattern.setting
+            }
+            estimates = [e for e in estimates if e.symbol not in setting]
+            estimates += [Estimate(symbol, units[symbol], *(3 * [value])) for symbol, value in setting.items()]
     return replace(cause, estimates=tuple(estimates))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import Coordinates, Hypothesis, Shape, Term
 from petkin.dynamics import Forcing, PiecewiseLinear
-from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vessels
-from petkin.imaging import CountingNoise, FrameObservation
+from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vessels, effect_named
+from petkin.imaging import CountingNoise, Exchange, FrameObservation
 from petkin.inputs import InputFunction
 from petkin.kinetics import compartment_model
 from petkin.study.diagnosis.onsets import onset_bounds, onsets
@@ -65,6 +65,7 @@ class RegionalSimulator:
         flatness: f of noise that scatters as counts to the power 1 - f.
         grain: the noise by region and frame, relative to that of counts, where voxels show it (R, K).
         errors: standard deviations of C_P relative to itself, at the nodes, one after another (m, T).
+        moves: what motion adds to regions, where an image tells; see `Camera`.
     """
 
     channels: tuple[str, ...]
@@ -77,6 +78,7 @@ class RegionalSimulator:
     flatness: float = 0.0
     grain: Array | None = None
     errors: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    moves: Exchange | None = None
     _kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -143,7 +145,7 @@ class RegionalSimulator:
         """The forward model at a point."""
         model = self._once(_place(own, shared), lambda: self._including(own, shared))
         for term in terms:
-            effect = effect_of(term.hypothesis)
+            effect = effect_named(term.hypothesis.name).form(term.hypothesis.symbol)
             model = effect.inject(model, {effect.amplitude.symbol: term.amplitude, **term.setting})
         return model
 
@@ -157,7 +159,7 @@ class RegionalSimulator:
             input=self.input,
             vascular=Vessels(np.minimum(values.get("vB", nothing), 0.9), values.get("Kb", 0.0)),
             tissue=Tissue(self.label, {symbol: values[symbol] for symbol in kinetics(self.label)}),
-            imaging=Camera(),
+            imaging=Camera(moves=self.moves),
             clock=self.clock,
             noise=CountingNoise(0.0),
         )
@@ -249,12 +251,6 @@ def width(effect: Effect) -> float:
     return max(abs(effect.amplitude.lower), abs(effect.amplitude.upper))
 
 
-def effect_of(hypothesis: Hypothesis) -> Effect:
-    from petkin.effects import effect_named
-
-    return effect_named(hypothesis.name)
-
-
 def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     """An effect as a hypothesis about this simulator."""
     amplitude = effect.amplitude
@@ -273,7 +269,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         unit={"min^-1": "1/min"}.get(amplitude.unit, amplitude.unit),
         lower=amplitude.lower,
         upper=amplitude.upper,
-        settings=_settings(effect, simulator.clock),
+        settings=_settings(effect, simulator),
         shapes=tuple(shapes),
         by_channel=bool(effect.regional),
         alike=effect.alike,
@@ -285,7 +281,8 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     )
 
 
-def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float], ...]:
+def _settings(effect: Effect, simulator: RegionalSimulator) -> tuple[dict[str, float], ...]:
+    clock = simulator.clock
     found: list[dict[str, float]] = [{}]
     for parameter in effect.parameters.members[1:]:
         values = effect.grid.get(parameter.symbol, ())
@@ -294,6 +291,9 @@ def _settings(effect: Effect, clock: FrameObservation) -> tuple[dict[str, float]
             values = onsets(clock, _SCANNER_ONSETS if scanner else _TISSUE_ONSETS, scanner=scanner)
         elif parameter.symbol == "frame":
             values = tuple(float(k) for k in range(len(clock.frames)))
+        elif parameter.symbol == "axis":
+            assert simulator.moves is not None
+            values = tuple(map(float, simulator.moves.ways))
         if values:
             found = [{**setting, parameter.symbol: float(v)} for setting in found for v in values]
     return tuple(found)
@@ -305,7 +305,8 @@ def hypotheses(
     """All effects that may be missing: not included, not withheld, and possible for this simulator."""
     model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
     known = {e.name for e in simulator.includes} | without
-    return tuple(hypothesis_of(e, simulator) for e in candidates if e.name not in known and e.suits(model))
+    forms = (e.imaged if e.imaged is not None and e.imaged.suits(model) else e for e in candidates)
+    return tuple(hypothesis_of(e, simulator) for e in forms if e.name not in known and e.suits(model))
 
 
 def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0) -> Array:

@@ -26,9 +26,11 @@ _FAR = 2.0
 
 @dataclass(frozen=True)
 class Judged:
-    """A scan's diagnosis, what its sidecar shows, the gap by voxel where there is an image, and the state map."""
+    """A scan's diagnosis, and what it was compared with; what its sidecar shows, the gap by voxel where there is an
+    image, and the state map."""
 
     found: Diagnosis
+    simulator: RegionalSimulator
     shown: tuple[Blunder, ...]
     gap: NDArray[np.float32] | None
     states: StatesRead | None
@@ -37,7 +39,6 @@ class Judged:
 def gap_report(
     source: Source,
     curves: RegionalCurves,
-    simulator: RegionalSimulator,
     one: Judged,
     text: dict[str, Any],
     command_line: str,
@@ -47,7 +48,6 @@ def gap_report(
     Args:
         source: the scan.
         curves: its regional curves.
-        simulator: that they were compared with.
         one: what was found.
         text: the answer.
         command_line: what was typed.
@@ -68,15 +68,20 @@ def gap_report(
         gap_map=_gap_map(source, one),
         lacking=drawn_states(one.states),
         scan=source.facts,
-        warnings=_warnings(source, simulator, one),
+        warnings=_warnings(source, one),
         command_line=command_line,
     )
 
 
-def _warnings(source: Source, simulator: RegionalSimulator, one: Judged) -> tuple[str, ...]:
+def _warnings(source: Source, one: Judged) -> tuple[str, ...]:
     """What was odd about the files and the refit, and what hybrids have not seen; each once."""
     unseen = () if one.states is None else one.states.remarks
-    said = [*map(str, source.remarks), *simulator.input.remarks, *irreversible(simulator, one.found.base), *unseen]
+    said = [
+        *map(str, source.remarks),
+        *one.simulator.input.remarks,
+        *irreversible(one.simulator, one.found.base),
+        *unseen,
+    ]
     return tuple(dict.fromkeys(said))
 
 

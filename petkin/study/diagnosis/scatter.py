@@ -28,8 +28,9 @@ Array = NDArray[np.float64]
 #: Draws of noise; one-sided p-value and log evidence from which on a law is taken for wrong: rarer than other claims,
 #: since a gap of the mean may also make residuals uneven.
 _DRAWS, _CLAIM, _SURE = 300, 1e-3, 5.0
-#: Least size of a difference, as a share of the region's median: zero has no logarithm.
-_TINY = 1e-3
+#: Least size of a difference, as a share of the region's median: zero has no logarithm. The largest that counts: more
+#: is the jump of a gap.
+_TINY, _JUMP = 1e-3, 3.0
 #: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05
 _Z90 = 1.6448536269514722
@@ -92,8 +93,8 @@ def _differenced_size(spread: Array) -> Array:
 def _slope(residuals: Array, expected: Array) -> Array:
     """-f of residuals (..., R, K) whose differences are expected to have sizes of these logarithms (R, K - 2)."""
     size = np.abs(np.diff(residuals, n=2, axis=-1)) / np.exp(expected)
-    least = _TINY * np.median(size, axis=-1, keepdims=True) + 1e-300
-    logs = np.log(np.maximum(size, least))
+    usual = np.median(size, axis=-1, keepdims=True) + 1e-300
+    logs = np.log(np.clip(size, _TINY * usual, _JUMP * usual))
     x = expected - expected.mean(axis=-1, keepdims=True)
     return -(x * logs).sum(axis=(-2, -1)) / max(float((x**2).sum()), 1e-300)
 

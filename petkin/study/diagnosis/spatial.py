@@ -13,17 +13,18 @@ only what it would be without blur is drawn from the labels.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
-from petkin.diagnosis import Contrasted, Family, Pattern, judge_contrasts
+from petkin.diagnosis import Contrasted, Family, Hypothesis, Pattern, judge_contrasts
 from petkin.effects.imaging import after
-from petkin.imaging import FrameSchedule, blur
+from petkin.imaging import PLANES, WAYS, Exchange, FrameSchedule, blur, middle_and_rim, origin
 from petkin.study.diagnosis.fields import Maps, departures
 from petkin.study.diagnosis.onsets import onsets
 from petkin.study.diagnosis.picture import BESIDE, Voxels
@@ -36,7 +37,10 @@ Array = NDArray[np.float64]
 _WIDTHS, _TYPICAL = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0), 6.0
 #: Priors: mm of motion, relative gain at the edge of the head, and blur in units of the FWHM tried.
 _MOTION_MM, _GAIN = 10.0, 0.2
-_MOTIONS = ("motion_step", "motion_drift")
+_MOTIONS, _GAINS = ("motion_step", "motion_drift"), ("attenuation_mismatch",)
+#: How far regions are seen to move, mm. A mixture of their curves that is weaker than this share of the strongest tells
+#: nothing of what motion brings.
+_FAR_MM, _TOLD = (-10.0, -4.0, -1.5, 0.0, 1.5, 4.0, 10.0), 0.01
 #: Rounds in which the sharp image is found.
 _SHARPENED = 4
 #: When a drift begins and ends, as shares of the scan.
@@ -57,8 +61,34 @@ class Looked:
     @property
     def log_odds(self) -> dict[str, float]:
         """What the image lends its effects, by name: their evidence, as often as they show."""
-        found = self.contrasted.evidence
-        return {n: float(np.logaddexp(np.log(_UNSEEN[n]), np.log1p(-_UNSEEN[n]) + e)) for n, e in found.items()}
+        return {name: _shown(name, evidence) for name, evidence in self.contrasted.evidence.items()}
+
+    def told(self, hypothesis: Hypothesis) -> Hypothesis:
+        """A hypothesis about regions that knows what the image says of it, setting by setting where it has some."""
+        name = hypothesis.name
+        if name not in self.contrasted.evidence:
+            return hypothesis
+        found = self.contrasted.settings[name]
+        each = np.array([_shown(name, _said(found, setting)) for setting in hypothesis.settings])
+        told = each - np.logaddexp.reduce(each) + np.log(len(each))
+        return replace(hypothesis, log_odds=self.log_odds[name], told=tuple(map(float, told)), witness="image")
+
+
+def _shown(name: str, evidence: float) -> float:
+    """Log evidence of an effect that may not show in contrasts at all."""
+    return float(np.logaddexp(np.log(_UNSEEN[name]), np.log1p(-_UNSEEN[name]) + evidence))
+
+
+def _said(found: Sequence[tuple[Mapping[str, float], float]], setting: Mapping[str, float]) -> float:
+    """Log evidence of contrasts for a setting: along its axis and at its onset, read between those that contrasts were
+    tried at; averaged over what it does not say."""
+    mine = [(s, e) for s, e in found if "axis" not in setting or s["axis"] == setting["axis"]]
+    at: dict[float, list[float]] = {}
+    for s, e in mine:
+        at.setdefault(s["onset"] if "onset" in setting else 0.0, []).append(e)
+    times = sorted(at)
+    logs = [np.logaddexp.reduce(at[time]) - np.log(len(at[time])) for time in times]
+    return float(np.interp(setting.get("onset", 0.0), times, logs))
 
 
 def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *, seed: int) -> Looked:
@@ -85,6 +115,26 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     unnamed = departures(voxels, variation, simulator.clock.frames.mid, named, least=least)
     found = judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
     return Looked(found, width)
+
+
+def moves(voxels: Voxels) -> Exchange:
+    """What motion adds to regions, as the picture tells.
+
+        mean over region r of x as it has moved, less x = sum_s D_rs x_s
+
+    D has no more in it than the curves of the regions tell apart.
+    """
+    picture = voxels.picture
+    number = np.maximum(np.bincount(voxels.place), 1)[:, None]
+    shares = np.linalg.pinv(voxels.fit.values @ picture.courses.T, rcond=_TOLD)
+    labelled = voxels.inside[picture.box]
+    at, rest = np.argwhere(labelled).T.astype(np.float64), picture.seen[labelled]
+    found = np.zeros((WAYS, len(_FAR_MM), len(number), len(number)))
+    for way, (n, far) in product(_Scene(voxels).motions, enumerate(_FAR_MM)):
+        came = origin(at, way, far, picture.size, labelled)
+        there = [map_coordinates(maps, came, order=1, mode="nearest") for maps in np.moveaxis(picture.seen, -1, 0)]
+        found[way, n] = voxels.over_regions(np.stack(there, axis=1) - rest) / number @ shares
+    return Exchange(np.array(_FAR_MM), found)
 
 
 def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
@@ -174,25 +224,37 @@ class _Scene:
     voxels: Voxels
 
     @property
-    def axes(self) -> Iterator[int]:
-        return (axis for axis, size in enumerate(self.voxels.inside.shape) if size > 1)
+    def axes(self) -> list[int]:
+        return [axis for axis, size in enumerate(self.voxels.inside.shape) if size > 1]
 
     def contrasts(self) -> list[_Contrast]:
-        """Motion and gains along every axis of the grid, and turns about it."""
-        found = [contrast for axis in self.axes for contrast in (self.moving(axis), self.tilted(axis))]
-        return found + [self.turned(*plane) for plane in combinations(self.axes, 2)]
+        """Motion along every axis of the grid and about it, and gains along every axis."""
+        moved = [self._of(f"motion {way}", _MOTIONS, way, maps, _MOTION_MM) for way, maps in self.motions.items()]
+        return moved + [self._of(f"gain {axis}", _GAINS, axis, self._tilt(axis), _GAIN) for axis in self.axes]
 
-    def moving(self, axis: int) -> _Contrast:
-        """Motion along an axis, mm: a step, or a drift."""
-        return self._along(f"motion {axis}", _MOTIONS, axis, self._slopes[axis], _MOTION_MM)
+    @cached_property
+    def motions(self) -> dict[int, Array]:
+        """What a millimetre of motion adds to every voxel (N, M), by way of moving.
 
-    def turned(self, one: int, two: int) -> _Contrast:
-        """A turn from one axis to another about the middle of the labels, by so many mm at their edge."""
-        at = np.stack(np.nonzero(self.voxels.inside), axis=1) * np.array(self.voxels.picture.size)
-        at -= at.mean(axis=0)
-        edge = max(float(np.hypot(at[:, one], at[:, two]).max()), 1e-300)
-        maps = (at[:, [one]] * self._slopes[two] - at[:, [two]] * self._slopes[one]) / edge
-        return self._along(f"turn {one}{two}", _MOTIONS, 3 - one - two, maps, _MOTION_MM)
+        dx = - u . grad x
+        """
+        along = {axis: -slope for axis, slope in self._slopes.items()}
+        turned = {3 + n: self._turn(plane) for n, plane in enumerate(PLANES) if set(plane) <= set(self.axes)}
+        return along | turned
+
+    def _turn(self, plane: tuple[int, int]) -> Array:
+        """Of a turn about the middle of the labels, by a millimetre at their rim."""
+        one, two = plane
+        size = np.array(self.voxels.picture.size)
+        middle, rim = middle_and_rim(self.voxels.inside, plane, size)
+        at = (np.argwhere(self.voxels.inside) - middle) * size
+        return np.asarray((at[:, [two]] * self._slopes[one] - at[:, [one]] * self._slopes[two]) / rim, np.float64)
+
+    def _tilt(self, axis: int) -> Array:
+        """What a gain adds that grows along an axis, by one from the middle to the edge of the head (N, M)."""
+        place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)
+        place = 2.0 * (place - place.mean()) / max(float(np.ptp(place)), 1.0)
+        return np.asarray(place[:, None] * self.voxels.seen, np.float64)
 
     @cached_property
     def _slopes(self) -> dict[int, Array]:
@@ -210,13 +272,7 @@ class _Scene:
         pairs = combinations_with_replacement(slopes, 2)
         return [_slope(slopes[one], picture.size[other], other)[labelled] for one, other in pairs]
 
-    def tilted(self, axis: int) -> _Contrast:
-        """A gain that grows along an axis, by so much from the middle to the edge of the head."""
-        place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)
-        place = 2.0 * (place - place.mean()) / max(float(np.ptp(place)), 1.0)
-        return self._along(f"gain {axis}", ("attenuation_mismatch",), axis, place[:, None] * self.voxels.seen, _GAIN)
-
-    def _along(self, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
+    def _of(self, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
         weights = self.voxels.centred(self.voxels.total(maps))
         return _Contrast(weights, self.voxels.picture.grain.between(weights), family, names, axis, maps, prior)
 

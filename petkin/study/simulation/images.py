@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
-from petkin.imaging import blur
+from petkin.imaging import Motion, blur, moved
 from petkin.phantoms import random_stream
 from petkin.study.simulation.planning import Plan
 from petkin.study.simulation.scene import Scene, voxel_values
@@ -19,12 +19,24 @@ def image_frames(plan: Plan, scene: Scene) -> Iterator[Float[NDArray, "x y z"]]:
     noise, clock = scene.truth.noise, scene.truth.clock
     rng = random_stream(plan.settings.seed, "noise", scene.subject, scene.session)
     common, scale = noise.frame_common(rng, len(clock.frames)), noise.of_frames(clock)
-    size = plan.painted.voxel_size
+    size, camera = plan.painted.voxel_size, scene.truth.imaging
+    motions = [motion(clock) for motion in camera.motions]
     for k, sharp in enumerate(_sharp_frames(plan, scene)):
-        frame = blur(sharp, scene.truth.imaging.point_spread, size)
+        frame = blur(_as_it_lies(plan, sharp, motions, k), camera.point_spread, size)
         if noise.percent > 0:
             frame = frame + scale[k] * noise.of_values(frame) * (common[k] + noise.voxel_part(rng, frame.shape, size))
         yield frame
+
+
+def _as_it_lies(plan: Plan, sharp: Float[NDArray, "x y z"], motions: list[Motion], k: int) -> Float[NDArray, "x y z"]:
+    """A frame of a head that may have moved, before or within it."""
+    painted = plan.painted
+    for motion in motions:
+        far, share = float(motion.far[k]), float(motion.share[k])
+        if far and share:
+            there = moved(sharp, motion.way, far, painted.voxel_size, painted.mask)
+            sharp = (1.0 - share) * sharp + share * there
+    return sharp
 
 
 def _sharp_frames(plan: Plan, scene: Scene) -> Iterator[Float[NDArray, "x y z"]]:

@@ -82,7 +82,7 @@ def plan(settings: SimulationSettings) -> Plan:
             common_share=settings.noise_common,
             correlation=settings.noise_fwhm,
         ),
-        effects=tuple(read_injection(text) for text in settings.effects),
+        effects=tuple(read_injection(text, imaged=True) for text in settings.effects),
     )
 
 

@@ -64,3 +64,17 @@ def test_evidence_is_that_of_a_mean_over_the_range(flatness: float) -> None:
     error, grid = 0.15, np.linspace(0.0, 1.0, 4001)
     likelihood = np.exp(-0.5 * ((flatness - grid) / error) ** 2 + 0.5 * (flatness / error) ** 2)
     assert _log_evidence(flatness, error) == pytest.approx(np.log(likelihood.mean()), abs=2e-3)
+
+
+def test_a_gap_that_jumps_is_no_law_of_noise(tmp_path: Path) -> None:
+    """Motion of 2 mm in a brain of 16 regions, which differences feel where it sets in, taken for a flatness of 0.4."""
+    settings = SimulationSettings(
+        out=tmp_path / "study", phantom="brain3d", voxel_size=7.0, noise=8.0, psf=5.0, effects=("motion_step=2,axis=2",)
+    )
+    request = DiagnoseRequest(simulate(settings), include=("blood_volume", "partial_volume"))
+    assert scatter_of(request).p_value > 1e-3
+
+
+@pytest.mark.parametrize(("flatness", "claimed"), [(0.7, True), (1.4, True), (1.8, False)])
+def test_what_is_flatter_than_flat_is_not_noise(flatness: float, claimed: bool) -> None:
+    assert Scatter(flatness, 0.3, 9.0, 1e-6).claimed == claimed

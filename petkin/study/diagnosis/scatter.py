@@ -54,8 +54,9 @@ class Scatter:
 
     @property
     def claimed(self) -> bool:
-        """Whether the law is taken for wrong."""
-        return self.p_value <= _CLAIM and self.log_evidence >= _SURE
+        """Whether the law is taken for wrong, and a flatter one that there can be for right."""
+        possible = self.flatness - _Z90 * self.error <= 1.0
+        return possible and self.p_value <= _CLAIM and self.log_evidence >= _SURE
 
 
 #: What `base_fit` finds: the simulator's fit, the noise, and what a flexible fit took and left.

@@ -3,7 +3,7 @@
 from petkin.imaging.decay import NUCLIDES, Nuclide, decay_constant, half_life, nuclide
 from petkin.imaging.frames import FrameObservation, FrameSchedule
 from petkin.imaging.hypr import composite_image, hypr_lr
-from petkin.imaging.motion import PLANES, WAYS, Exchange, Motion, axes_of, middle_and_rim, moved, origin
+from petkin.imaging.motion import PLANES, WAYS, Exchange, Motion, middle_and_rim, moved, origin
 from petkin.imaging.noise import CountingNoise, reference_frame
 from petkin.imaging.point_spread import FWHM_PER_SIGMA, blur, gaussian_kernel
 from petkin.imaging.schedules import SCHEDULES, frame_schedule, in_seconds, parse_schedule
@@ -22,7 +22,6 @@ __all__ = [
     "Motion",
     "Nuclide",
     "TransferMatrix",
-    "axes_of",
     "background_rim",
     "blur",
     "composite_image",

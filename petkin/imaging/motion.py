@@ -73,16 +73,12 @@ def moved(volume: Array, way: int, far: float, voxel_size: Sequence[float], labe
     """
     from scipy.ndimage import map_coordinates
 
-    flat = [axis for axis in axes_of(way) if volume.shape[axis] == 1]
+    axes = (way,) if way < 3 else PLANES[way - 3]
+    flat = [axis for axis in axes if volume.shape[axis] == 1]
     if flat:
         raise InputError(f"axis={way}: the picture has one voxel along axis {flat[0]} and cannot move there.")
     came = origin(np.indices(volume.shape, float).reshape(3, -1), way, far, voxel_size, labelled)
     return np.asarray(map_coordinates(volume, came, order=1, mode="constant"), np.float64).reshape(volume.shape)
-
-
-def axes_of(way: int) -> tuple[int, ...]:
-    """Axes that a motion is along or between."""
-    return (way,) if way < 3 else PLANES[way - 3]
 
 
 def origin(at: Array, way: int, far: float, voxel_size: Sequence[float], labelled: NDArray[np.bool_]) -> Array:

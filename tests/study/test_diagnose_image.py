@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from petkin.diagnosis import Contrasted, Hypothesis
+from petkin.diagnosis import Cause, Contrasted, Estimate, Hypothesis
 from petkin.study.diagnose import Diagnosed, diagnose_study
+from petkin.study.diagnosis.answer import _strength
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.spatial import Looked
 from petkin.study.simulate import simulate
@@ -159,3 +160,13 @@ def test_the_image_says_which_settings_are_likely() -> None:
     assert np.ptp(weights[[0, 1, 2, 3]]) < 1e-12
     beside = replace(hypothesis, name="gain_step")
     assert looked.told(beside) is beside
+
+
+def test_an_axis_is_said_of_the_motion_whose_size_is_said() -> None:
+    """Of a pair the sentence gives the first effect's size, which may be a gain's."""
+    gain, mm = (Estimate("amplitude", unit, size, size, size) for unit, size in (("1", 0.05), ("mm", 3.0)))
+    axis = Estimate("axis", "1", 1.0, 1.0, 1.0)
+    pair = Cause(("gain_step", "motion_drift"), ("imaging", "imaging"), 0.9, 30.0, (gain, mm, axis))
+    assert _strength(pair) == " of 0.05"
+    alone = Cause(("motion_drift",), ("imaging",), 0.9, 30.0, (mm, axis))
+    assert _strength(alone) == " of 3 mm along the image's y axis"

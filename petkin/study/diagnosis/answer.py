@@ -185,8 +185,8 @@ def _strength(cause: Cause) -> str:
     if first.unit == "flag":
         return ""
     unit = "" if first.unit == "1" else f" {first.unit}"
-    known = {e.symbol: e.value for e in cause.estimates[::-1]}
-    way = f" {_WAYS[int(known['axis'])]}" if "axis" in known else ""
+    known = {e.symbol: e.value for e in cause.estimates[::-1]}  # of a pair, the first effect's
+    way = f" {_WAYS[int(known['axis'])]}" if "axis" in known and first.unit == "mm" else ""
     return f" of {first.value:.3g}{unit}{way}" + (f" from {known['onset']:.3g} min on" if "onset" in known else "")
 
 

@@ -14,7 +14,7 @@ from petkin.errors import InputError
 from petkin_bench.withheld import run as runs
 from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images import cases
-from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, UNKNOWN, Cause, Place
+from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, PLAIN, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES, Head, Pose, draw_head, painted
 from petkin_bench.withheld.images.reader import ideal
 from petkin_bench.withheld.images.score import image_metrics
@@ -136,6 +136,19 @@ def test_a_delay_that_the_simulator_lacks_is_not_refitted(scanned: Scanned) -> N
     lacking = made(cases.Simulator(delay=False))
     assert lacking.detectability > 5.0 > 0.1 > made(cases.Simulator()).detectability
     assert "frame_offset" in cases._class(lacking, [("gain_step", np.ones_like(lacking.left))])
+
+
+def test_kinetics_are_refitted_to_a_strong_change_of_the_camera(scanned: Scanned) -> None:
+    """A dead time of 0.3 moves kinetics too far for straight lines: a refit leaves next to nothing."""
+    dead = next(c for c in PLAIN if c.name == "dead_time")
+    scene = cases._Scene(np.random.default_rng(1), scanned, cases.Simulator(), 8.0, 0.0, 0)
+    made = cases._made(scene, dead, Place(draw(np.random.default_rng(1), scanned.subject), 0, scanned.head), 0.3)
+    camera = dead.build(0.3, made.place).camera
+    assert camera is not None
+    plain, fitted = (taken(replace(scanned, subject=s), varied=False) for s in (scanned.subject, made.fitted))
+    late, changed = scanned.subject.frames.start > 5.0, camera(plain, scanned.subject.frames)
+    left, moved = (np.abs(means(changed - other, scanned.head))[:, late].max() for other in (fitted, plain))
+    assert left < 0.01 * moved
 
 
 def test_a_reader_names_what_is_strong_and_is_asked_of_names_alone() -> None:

@@ -139,9 +139,11 @@ def _bent(residual: NDArray[np.floating], by_frame: Array) -> Array:
 
 
 def _evened(left: NDArray[np.floating], place: NDArray[np.intp], spread: Array) -> Array:
-    """Factor of the spread (R, K), as far as voxels scatter less by their own region's counts than by all regions'.
+    """Factor of the spread (R, K), as far as voxels scatter less, or more, by their own region's counts than counts do.
 
-    log |r_v(k)| = a_k + b_r - g u_r(k),   u = log s less its means over regions and over frames,   0 <= g <= 1
+    log |r_v(k)| = a_k + b_r - g u_r(k),   u = log s less its means over regions and over frames,   -1 <= g <= 1
+
+    With g = 1 they scatter by the counts of all regions, with g = -1 by a percentage of their own.
     """
     sizes = np.stack([np.median(np.abs(left[place == r]), axis=0) for r in range(len(spread))]).astype(np.float64)
     if not (sizes > 0).all():
@@ -149,7 +151,7 @@ def _evened(left: NDArray[np.floating], place: NDArray[np.intp], spread: Array) 
     weight = np.bincount(place)[:, None] / _TOGETHER
     own, seen = (_interaction(np.log(values), weight) for values in (spread, sizes))
     told = -float((weight * own * seen).sum()) / (float((weight * own**2).sum()) + _USUAL_LAW**-2.0)
-    return np.exp(-np.clip(told, 0.0, 1.0) * own)
+    return np.exp(-np.clip(told, -1.0, 1.0) * own)
 
 
 def _interaction(values: Array, weight: Array) -> Array:

@@ -15,7 +15,7 @@ from petkin_bench.withheld.classes import same_of_its_size
 from petkin_bench.withheld.images.causes import ALIKE, KNOWN, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES, VOXEL, draw_head
 from petkin_bench.withheld.images.strength import Filter, matched
-from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, pieces, retaken, taken
+from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, means, pieces, retaken, taken
 from petkin_bench.withheld.making import Made as MadeCurves
 from petkin_bench.withheld.noise import KINDS, law
 from petkin_bench.withheld.observe import Change, observe
@@ -38,6 +38,8 @@ _PARTS = 0.45
 _TRIES, _CLOSE, _SAME, _FILTERED = 40, 0.1, 0.95, 400
 #: Share of a cause's largest size at which columns are taken: what is weak is linear.
 WEAK = 0.15
+#: kBq/mL of a frame before the tracer is there.
+_NOTHING = 1e-9
 #: What sets image cases apart from regional ones of the same seed.
 _STREAM = 7
 
@@ -268,12 +270,18 @@ def _made(scene: _Scene, cause: Cause, place: Place, size: float, shot: Shot | N
 def _fitted(scene: _Scene, shot: Shot) -> Subject:
     """The simulator's subject: what it refits to sharp curves that a cause changes; else who is there.
 
-    What a picture changes besides is small and left to the projection.
+    What a camera adds changes sharp curves as it does the means of regions. What a picture changes besides is small and
+    left to the projection.
     """
-    subject = scene.scanned.subject
-    if shot.change is AS_ALWAYS.change and scene.simulator == Simulator():
+    scanned, subject = scene.scanned, scene.scanned.subject
+    unchanged = shot.change is AS_ALWAYS.change and shot.camera is None
+    if unchanged and scene.simulator == Simulator():
         return subject
     wanted = observe(subject, (shot.change,))
+    if shot.camera is not None:
+        plain = taken(scanned, varied=False)
+        shown, held = (means(picture, scanned.head) for picture in (shot.camera(plain, subject.frames), plain))
+        wanted[: len(held)] *= shown / np.maximum(held, _NOTHING)
     return seen(wanted, scene.simulator, subject, law(wanted, subject.frames, scene.percent / 10.0, 0.0)).fitted
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _JUMP, _CUT = 3.0, 0.957
 #: The largest share where what samples have in common is a factor of values, which gains of all channels are too.
 _MOST_FACTOR = 0.6
-#: It may be larger, up to the last of these, where second differences show more than the first as well, and this much of
+#: It may be larger, up to the last of these, where second differences show more than the first too, and this much of
 #: its variance: of what swings with a period of five samples they have a third.
 _SWINGS, _WHITE, _MOST_SWING = 0.75, 0.5, 0.999
 #: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.

@@ -83,7 +83,11 @@ def simulate(
     ] = None,
     noise_common: Annotated[
         float,
-        typer.Option(help="Share of the noise variance common to all voxels of a frame.", rich_help_panel=_SCANNER),
+        typer.Option(
+            help="Share of a voxel's noise variance that its whole frame has in common. Means over regions have little"
+            " noise of their own: 0.005 is a share of 0.6 of one over 300 voxels.",
+            rich_help_panel=_SCANNER,
+        ),
     ] = 0.0,
     noise_fwhm: Annotated[
         float, typer.Option(help="Spatial correlation of the noise, mm.", rich_help_panel=_SCANNER)

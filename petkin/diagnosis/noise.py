@@ -16,9 +16,6 @@ Array = NDArray[np.float64]
 _JUMP, _CUT = 3.0, 0.957
 #: The largest share where what samples have in common is a factor of values, which gains of all channels are too.
 _MOST_FACTOR = 0.6
-#: It may be larger, up to the last of these, where second differences show more than the first too, and this much of
-#: its variance: of what swings with a period of five samples they have a third.
-_SWINGS, _WHITE, _MOST_SWING = 0.75, 0.5, 0.999
 #: The flexible fit tells the noise unless second differences leave this much less of it: they are the rougher measure.
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
@@ -90,23 +87,7 @@ def with_factor(residuals: Array, freedom: float, load: Array) -> tuple[Array, A
     along = ((residuals * axis).sum(axis=-2) ** 2).sum(axis=-1)
     own = np.maximum(np.minimum((squares - along) / (count - 1.0), squares / count), 1e-300)
     kappa = np.maximum(along / own - 1.0, 0.0) / count
-    return np.sqrt(own / freedom), np.minimum(kappa / (1.0 + kappa), _MOST_SWING)
-
-
-def held_back(share: Array, loose: Array, bends: Array) -> Array:
-    """A factor's share as far as it is noise from sample to sample and not a gap.
-
-    Args:
-        share: that one of the next two by which noise goes.
-        loose: of what a flexible fit leaves.
-        bends: of second differences.
-    """
-    swings = (np.minimum(loose, bends) > _SWINGS) & (_odds(bends) > _WHITE * _odds(loose))
-    return np.where(swings, share, np.minimum(share, _MOST_FACTOR))
-
-
-def _odds(share: Array) -> Array:
-    return share / (1.0 - share)
+    return np.sqrt(own / freedom), np.minimum(kappa / (1.0 + kappa), _MOST_FACTOR)
 
 
 def outlying(residuals: Array) -> Array:
@@ -177,9 +158,8 @@ def size_and_share(
     fitted = (by_fit**2).sum(axis=-1) <= _SMALLER * (by_bends**2).sum(axis=-1)
     if load is not None:
         told = with_factor(loose, float(freedom.mean()), load)
-        bent = with_factor(bends, bends.shape[-1], load[:, 1:-1])
-        size, share = np.where(fitted, told, bent)
-        return size[..., None] * scale, held_back(share, told[1], bent[1])
+        size, share = np.where(fitted, told, with_factor(bends, bends.shape[-1], load[:, 1:-1]))
+        return size[..., None] * scale, share
     size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
     relative = (size / scale)[..., None]
     return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative))

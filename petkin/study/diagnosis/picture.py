@@ -118,12 +118,15 @@ class Voxels:
         fit: of the simulator to the regions' means.
         spread: of the noise, relative (R, K).
         sensitivity: derivatives of the weighted regional curves by their own parameters (R, K, P).
+        drawn: the labelled voxels as labels and a point spread have them, in mixtures of courses (N, M); None before
+            the width is known.
     """
 
     picture: Picture
     fit: Fit
     spread: Array
     sensitivity: Array
+    drawn: Array | None = None
 
     @classmethod
     def of(cls, picture: Picture, simulator: RegionalSimulator, fit: Fit) -> Voxels:
@@ -184,23 +187,29 @@ class Voxels:
         usual = np.sqrt((self.spread**2).mean(axis=0))
         return maps @ (self.picture.courses / usual).sum(axis=1)
 
-    def mixed(self, share: float, region: int) -> Array:
-        """Columns of a mixture of the regions' curves, so large, that a contrast of one region holds (K, M)."""
-        courses = self.picture.courses
-        usual = np.sqrt(((self.fit.values @ courses.T) ** 2).mean(axis=0))
-        return share / np.linalg.norm(usual) * (usual[:, None] * courses).T / self.spread[region][:, None]
+    def mixed(self, sizes: Array, region: int) -> Array:
+        """Columns of a mixture of courses that a contrast of one region holds so much of (M,): (K, M)."""
+        return (sizes[:, None] * self.picture.courses).T / self.spread[region][:, None]
+
+    def usual(self, share: float) -> Array:
+        """How much of every course a mixture of that size usually has (M,): as regions' curves have."""
+        found = np.sqrt(((self.fit.values @ self.picture.courses.T) ** 2).mean(axis=0))
+        return share / np.linalg.norm(found) * found
 
     def there(self, weights: Array) -> Array:
         """Columns of mixtures of the regions' curves (R M, R, K), each region's for itself.
 
         Where edges run within voxels no label tells, so that a contrast may hold some of all curves, as large as what
-        the image shows.
+        the image shows, and as much of each course as a picture drawn from labels has, if that is more.
         """
         held = self.over_regions(weights[:, None] * self.seen)
-        share = _MIXED * float(np.sqrt((held**2).sum(axis=1).mean()))
+        sizes = self.usual(float(np.sqrt((held**2).sum(axis=1).mean())))
+        if self.drawn is not None:
+            foreseen = self.over_regions(weights[:, None] * self.drawn)
+            sizes = np.maximum(sizes, np.sqrt((foreseen**2).mean(axis=0)))
         columns = np.zeros((len(held), held.shape[1], *self.spread.shape))
         for r in range(len(held)):
-            columns[r, :, r] = self.mixed(share, r).T
+            columns[r, :, r] = self.mixed(_MIXED * sizes, r).T
         return columns.reshape(-1, *self.spread.shape)
 
     def centred(self, weights: Array) -> Array:

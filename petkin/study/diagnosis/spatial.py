@@ -100,11 +100,13 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         names: of the candidates.
         seed: of the draws of noise.
     """
-    predicted, scene = _Predicted.of(voxels), _Scene(voxels)
-    contrasts = scene.contrasts()
-    variation = Variation.of(voxels, contrasts)
+    predicted = _Predicted.of(voxels)
     families, patterns = predicted.blurred()
     width = predicted.width(families["blur"].rows, patterns)
+    voxels = replace(voxels, drawn=predicted.seen(width)[voxels.inside])
+    scene = _Scene(voxels)
+    contrasts = scene.contrasts()
+    variation = Variation.of(voxels, contrasts)
     for contrast in contrasts:
         families[contrast.family] = scene.family(contrast, variation)
         patterns += scene.patterns(contrast, simulator)
@@ -176,7 +178,7 @@ class _Predicted:
         maps[picture.inside] = levels[picture.place]
         return cls(voxels, maps)
 
-    def _seen(self, width: float) -> Array:
+    def seen(self, width: float) -> Array:
         """The image through a point spread, as sharp before it as its regions' means demand (x, y, z, M).
 
         Reference: van Cittert PH. Z Phys 1931;69:298-308 (repeated re-blurring).
@@ -200,10 +202,10 @@ class _Predicted:
         which are as fine as it is.
         """
         voxels, courses = self.voxels, self.voxels.picture.courses
-        weights = voxels.centred(self._seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
+        weights = voxels.centred(self.seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
         contrast = Weighed(weights, voxels.picture.grain.between(weights))
         variation = Variation.of(voxels, [contrast])
-        rows = [voxels.framed(weights, self._seen(width)[voxels.inside], courses) for width in _WIDTHS]
+        rows = [voxels.framed(weights, self.seen(width)[voxels.inside], courses) for width in _WIDTHS]
         patterns = [
             Pattern("partial_volume", "blur", row, {}, scale=width, signed=False)
             for width, row in zip(_WIDTHS, rows, strict=True)

@@ -146,7 +146,7 @@ def _decoys(voxels: Voxels, contrast: Weighed, cells: _Cells, waves: Array, fiel
         length = np.linalg.norm(free, axis=0)
         free = (free / np.where(length > _TINY, length, np.inf)).T
         contrasts = voxels.weighed(free, r)
-        edges = voxels.mixed(np.sqrt(((free @ voxels.seen[mine]) ** 2).sum(axis=1).mean()), r)
+        edges = voxels.mixed(voxels.usual(np.sqrt(((free @ voxels.seen[mine]) ** 2).sum(axis=1).mean())), r)
         held = ((cells.over(free, mine) @ fields) ** 2).sum() / len(free)
         noise = size**2 * np.eye(contrasts.shape[1]) + edges @ edges.T
         found.append(_Decoys(contrasts.T @ contrasts / len(free), noise, np.sqrt(held) * voxels.sensitivity[r]))

@@ -287,9 +287,13 @@ class _Scene:
         return found
 
     def family(self, contrast: _Contrast, variation: Variation) -> Family:
-        """Its rows, with what they may hold of an image that stays as it is."""
+        """Its rows, with what they may hold of an image that stays as it is.
+
+        Those of motion look at edges: they hold so much of the mean course that what the image shows covers the others.
+        """
         weights = contrast.weights
-        nuisance = np.concatenate([variation.columns(weights), self.voxels.there(weights)])
+        voxels = replace(self.voxels, drawn=None) if contrast.names == _MOTIONS else self.voxels
+        nuisance = np.concatenate([variation.columns(weights), voxels.there(weights)])
         return Family(self.voxels.sums(weights), nuisance, contrast.noise)
 
     def patterns(self, contrast: _Contrast, simulator: RegionalSimulator) -> list[Pattern]:

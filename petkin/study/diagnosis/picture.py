@@ -196,17 +196,21 @@ class Voxels:
         found = np.sqrt(((self.fit.values @ self.picture.courses.T) ** 2).mean(axis=0))
         return share / np.linalg.norm(found) * found
 
-    def there(self, weights: Array) -> Array:
+    def there(self, weights: Array, *, foreseen: bool = True) -> Array:
         """Columns of mixtures of the regions' curves (R M, R, K), each region's for itself.
 
         Where edges run within voxels no label tells, so that a contrast may hold some of all curves, as large as what
         the image shows, and as much of each course as a picture drawn from labels has, if that is more.
+
+        Args:
+            weights: of the voxels (N,).
+            foreseen: whether the drawn picture counts, where there is one.
         """
         held = self.over_regions(weights[:, None] * self.seen)
         sizes = self.usual(float(np.sqrt((held**2).sum(axis=1).mean())))
-        if self.drawn is not None:
-            foreseen = self.over_regions(weights[:, None] * self.drawn)
-            sizes = np.maximum(sizes, np.sqrt((foreseen**2).mean(axis=0)))
+        if foreseen and self.drawn is not None:
+            drawn = self.over_regions(weights[:, None] * self.drawn)
+            sizes = np.maximum(sizes, np.sqrt((drawn**2).mean(axis=0)))
         columns = np.zeros((len(held), held.shape[1], *self.spread.shape))
         for r in range(len(held)):
             columns[r, :, r] = self.mixed(_MIXED * sizes, r).T

@@ -103,7 +103,7 @@ def _slope(residuals: Array, expected: Array) -> Array:
 def _log_evidence(flatness: float, error: float) -> float:
     """log of the mean over f in [0, 1] of N(flatness; f, error^2) / N(flatness; 0, error^2)."""
     ends = -flatness / error, (1.0 - flatness) / error
-    below, above = log_ndtr(ends if ends[0] < 0 else (-ends[1], -ends[0]))
+    below, above = log_ndtr(ends if ends[0] < 0 else (-ends[1], -ends[0]))  # in the lower tail, where digits are left
     inside = float(above + np.log1p(-np.exp(np.minimum(below - above, -1e-12))))
     return inside + 0.5 * np.log(2.0 * np.pi) + float(np.log(error)) + 0.5 * (flatness / error) ** 2
 

@@ -292,8 +292,8 @@ class _Scene:
         Those of motion look at edges: they hold so much of the mean course that what the image shows covers the others.
         """
         weights = contrast.weights
-        voxels = replace(self.voxels, drawn=None) if contrast.names == _MOTIONS else self.voxels
-        nuisance = np.concatenate([variation.columns(weights), voxels.there(weights)])
+        there = self.voxels.there(weights, foreseen=contrast.names != _MOTIONS)
+        nuisance = np.concatenate([variation.columns(weights), there])
         return Family(self.voxels.sums(weights), nuisance, contrast.noise)
 
     def patterns(self, contrast: _Contrast, simulator: RegionalSimulator) -> list[Pattern]:

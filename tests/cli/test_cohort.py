@@ -81,9 +81,9 @@ def _until(there: Callable[[], T | None]) -> T:
     raise TimeoutError
 
 
-def _at_work(study: Path) -> list[int]:
-    """Processes that hold a folder of half a scan."""
-    return [int(path.name.split("-")[1]) for path in study.rglob(".petkin-*-*.lock")]
+def _at_work(study: Path, process: subprocess.Popen[str]) -> list[int]:
+    """Processes of this run that hold a folder of half a scan; what an earlier one left is nobody's."""
+    return sorted(_alive(process) & {int(path.name.split("-")[1]) for path in study.rglob(".petkin-*-*.lock")})
 
 
 def _half_done(study: Path) -> list[Path]:
@@ -91,11 +91,15 @@ def _half_done(study: Path) -> list[Path]:
     return list(study.rglob(".petkin-*-*"))
 
 
-def _gone(process: int) -> bool:
-    try:
-        return "Z" in Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return True
+def _alive(process: subprocess.Popen[str]) -> set[int]:
+    """The process and all that it started and that have not ended, whether it lives or not."""
+    members = set()
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it ended just now
+            state, _, group = path.read_text().rpartition(")")[2].split()[:3]
+            if int(group) == process.pid and state not in "ZX":
+                members.add(int(path.parent.name))
+    return members
 
 
 def _results(study: Path) -> dict[str, bytes]:
@@ -106,7 +110,7 @@ def test_a_worker_is_killed(cohort: tuple[Path, dict[str, bytes]]) -> None:
     """What listens beside the scheduler takes another port where its usual one is taken, without a word."""
     study, serial = cohort
     with _taken(8787), _running(study, "--again") as process:
-        victim = _until(lambda: _at_work(study))[0]
+        victim = _until(lambda: _at_work(study, process))[0]
         assert victim != process.pid
         os.kill(victim, signal.SIGKILL)
         out, err = process.communicate(timeout=300)
@@ -124,10 +128,9 @@ def test_the_client_is_killed_and_starts_again(cohort: tuple[Path, dict[str, byt
         out.rename(study.parent / "earlier")
     with _running(study) as process:
         first = _until(lambda: list(out.rglob("*_record.json")))
-        workers = _at_work(study)
         os.kill(process.pid, signal.SIGKILL)
         process.communicate()
-        _until(lambda: all(map(_gone, workers)))
+        _until(lambda: not _alive(process))
     done = {path.name[:6] for path in out.rglob("*_record.json")}
     assert {path.name for path in out.glob("sub-*")} == done
     assert len(done) < len(_SCANS)
@@ -149,11 +152,12 @@ def test_ctrl_c_ends_the_workers(cohort: tuple[Path, dict[str, bytes]]) -> None:
     study, _ = cohort
     before = _results(study) if (study / "derivatives" / "petkin").exists() else {}
     with _running(study, "--again") as process:
-        workers = _until(lambda: _at_work(study))
+        workers = _until(lambda: _at_work(study, process))
         os.killpg(process.pid, signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (130, "petkin: interrupted; nothing half-written was left behind.\n")
-    assert all(map(_gone, workers))
+    assert not _alive(process).intersection(workers)
+    _until(lambda: not _alive(process))  # what kept count of their memory may go a moment later
     assert not list(study.rglob(".petkin-*"))
     if before:
         assert _results(study) == before

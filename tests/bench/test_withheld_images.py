@@ -13,7 +13,7 @@ import pytest
 from petkin.errors import InputError
 from petkin_bench.withheld import run as runs
 from petkin_bench.withheld.causes import draw
-from petkin_bench.withheld.images import cases
+from petkin_bench.withheld.images import cases, columns, making
 from petkin_bench.withheld.images.causes import KNOWN, OTHER_FORMS, PLAIN, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES, Head, Pose, draw_head, painted
 from petkin_bench.withheld.images.reader import ideal
@@ -22,6 +22,7 @@ from petkin_bench.withheld.images.study import write_study
 from petkin_bench.withheld.images.taking import AS_ALWAYS, Scanned, grain, means, spread_out, taken
 from petkin_bench.withheld.score import Judged
 from petkin_bench.withheld.subject import Frames, draw_subject
+from petkin_bench.withheld.visibility import Simulator
 
 
 @pytest.fixture(scope="module")
@@ -82,11 +83,11 @@ def test_noise_is_as_large_as_its_law_and_neighbours_share_it(scanned: Scanned) 
 def test_what_cannot_be_refitted_is_visible(scanned: Scanned) -> None:
     """d' grows with the size of a motion; the scan as it is has none."""
     rng = np.random.default_rng(1)
-    scene = cases._Scene(rng, replace(scanned, width=6.0), cases.Simulator(), 10.0, 0.0, 0)
+    scene = making.Scene(rng, replace(scanned, width=6.0), Simulator(), 10.0, 0.0, 0)
     drawn = replace(draw(rng, scanned.subject), onset=25.0)
     place = Place(drawn, 0, scanned.head)
     step = next(c for c in KNOWN if c.name == "motion_step")
-    none, small, large = (cases._made(scene, step, place, size).detectability for size in (0.0, 1.0, 4.0))
+    none, small, large = (making.made_of(scene, step, place, size).detectability for size in (0.0, 1.0, 4.0))
     assert none < 0.5
     assert 2.0 * small < large
 
@@ -108,8 +109,8 @@ def test_nobody_knows_how_kinetics_vary(scanned: Scanned) -> None:
     trapping = next(c for c in KNOWN if c.name == "vascular_trapping")
 
     def visible(head: Head) -> float:
-        scene = cases._Scene(rng, replace(scanned, head=head), cases.Simulator(), 8.0, 0.0, 0)
-        return cases._made(scene, trapping, place, 0.5 * trapping.most).detectability
+        scene = making.Scene(rng, replace(scanned, head=head), Simulator(), 8.0, 0.0, 0)
+        return making.made_of(scene, trapping, place, 0.5 * trapping.most).detectability
 
     even = replace(scanned.head, waves=0.0 * scanned.head.waves, phases=0.0 * scanned.head.phases + 0.5 * np.pi)
     assert visible(scanned.head) == pytest.approx(visible(even), rel=0.1)
@@ -118,10 +119,10 @@ def test_nobody_knows_how_kinetics_vary(scanned: Scanned) -> None:
 def test_an_edge_that_no_label_tells_hides_small_motion(scanned: Scanned) -> None:
     """A drift by a fiftieth of a voxel is not seen, though it changes all edges of a picture known beforehand."""
     rng = np.random.default_rng(1)
-    scene = cases._Scene(rng, replace(scanned, width=4.0), cases.Simulator(), 8.0, 0.0, 0)
+    scene = making.Scene(rng, replace(scanned, width=4.0), Simulator(), 8.0, 0.0, 0)
     drift = next(c for c in KNOWN if c.name == "motion_drift")
     place = Place(draw(rng, scanned.subject), 1, scanned.head)
-    assert cases._made(scene, drift, place, 0.1).detectability < 2.0
+    assert making.made_of(scene, drift, place, 0.1).detectability < 2.0
 
 
 def test_a_delay_that_the_simulator_lacks_is_not_refitted(scanned: Scanned) -> None:
@@ -129,20 +130,20 @@ def test_a_delay_that_the_simulator_lacks_is_not_refitted(scanned: Scanned) -> N
     place = Place(draw(np.random.default_rng(1), late.subject), 0, late.head)
     cause = cases.Cause("arterial_delay", "input", lambda size, place: AS_ALWAYS, 1.5, spatial=False)
 
-    def made(simulator: cases.Simulator) -> cases.Made:
-        scene = cases._Scene(np.random.default_rng(1), late, simulator, 8.0, 0.0, 0)
-        return cases._made(scene, cause, place, 1.0, AS_ALWAYS)
+    def made(simulator: Simulator) -> cases.Made:
+        scene = making.Scene(np.random.default_rng(1), late, simulator, 8.0, 0.0, 0)
+        return making.made_of(scene, cause, place, 1.0, AS_ALWAYS)
 
-    lacking = made(cases.Simulator(delay=False))
-    assert lacking.detectability > 5.0 > 0.1 > made(cases.Simulator()).detectability
-    assert "frame_offset" in cases._class(lacking, [("gain_step", np.ones_like(lacking.left))])
+    lacking = made(Simulator(delay=False))
+    assert lacking.detectability > 5.0 > 0.1 > made(Simulator()).detectability
+    assert "frame_offset" in columns.class_of(lacking, [("gain_step", np.ones_like(lacking.left))])
 
 
 def test_kinetics_are_refitted_to_a_strong_change_of_the_camera(scanned: Scanned) -> None:
     """A dead time of 0.3 moves kinetics too far for straight lines: a refit leaves next to nothing."""
     dead = next(c for c in PLAIN if c.name == "dead_time")
-    scene = cases._Scene(np.random.default_rng(1), scanned, cases.Simulator(), 8.0, 0.0, 0)
-    made = cases._made(scene, dead, Place(draw(np.random.default_rng(1), scanned.subject), 0, scanned.head), 0.3)
+    scene = making.Scene(np.random.default_rng(1), scanned, Simulator(), 8.0, 0.0, 0)
+    made = making.made_of(scene, dead, Place(draw(np.random.default_rng(1), scanned.subject), 0, scanned.head), 0.3)
     camera = dead.build(0.3, made.place).camera
     assert camera is not None
     plain, fitted = (taken(replace(scanned, subject=s), varied=False) for s in (scanned.subject, made.fitted))

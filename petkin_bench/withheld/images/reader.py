@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from petkin_bench.withheld.images.cases import WEAK, ImageAnswer, Made, columns_of
+from petkin_bench.withheld.images.cases import ImageAnswer
+from petkin_bench.withheld.images.columns import WEAK, columns_of
+from petkin_bench.withheld.images.making import Made
 
 Array = NDArray[np.float64]
 

@@ -98,6 +98,20 @@ def test_voxels_say_whose_counts_they_scatter_by(own: float) -> None:
     assert apart < 0.02 + 0.1 * untold
 
 
+def test_voxels_say_which_region_is_noisier() -> None:
+    """Regions of many and of few voxels, one of them half as noisy again; none is taken for it by its size alone."""
+    inside, place = LABELS > 0, LABELS[LABELS > 0] - 1
+
+    def found(noisier: float, seed: int) -> NDArray[np.float64]:
+        noise = shared_noise(np.random.default_rng(seed))[:, inside].T * np.array([1.0, noisier])[place, None]
+        curves = np.array([20.0, 30.0])[place, None] * COURSES.sum(axis=0) + noise
+        by_frame = voxel_noise(curves, LABELS, np.ones((2, FRAMES)), COURSES, np.full(3, 5.0)).by_frame
+        return np.log(np.median(by_frame[1] / by_frame[0]))
+
+    for noisier in (1.0, 1.5):
+        assert np.mean([found(noisier, seed) for seed in range(8)]) == pytest.approx(np.log(noisier), abs=0.1)
+
+
 def test_regions_that_touch_share_noise_at_their_border() -> None:
     """Two halves of a block, weights of one sign and of both, against draws."""
     labels = np.zeros((EDGE, EDGE, EDGE), np.intp)

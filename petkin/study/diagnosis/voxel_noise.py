@@ -5,14 +5,14 @@ A region has few frames but many voxels, so that what its own curve tells of noi
     r_v(k) = (x_v(k) - what mixtures of a few courses make of it) / s_r(k) = h(k) e_v(k),
     cov(e_v, e_u) = C(v - u)
 
-h is the median size of the frame's residuals, as far as those scatter with the counts of their region, C the mean of
-products of all pairs of voxels at one distance.
+h is the median size of the frame's residuals, as far as those scatter with the counts of their region, times that of
+the region's beside the others', C the mean of products of all pairs of voxels at one distance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,10 @@ _FURTHEST_MM = 25.0
 _TAKEN, _QUIET = 0.8, 0.05
 #: Voxels that scatter as one, and how far noise usually keeps from the law of a region's own counts.
 _TOGETHER, _USUAL_LAW = 10.0, 0.5
+#: How far a region's noise usually keeps from the others', in logarithms.
+_USUAL_REGION = 0.2
+#: Variance of the logarithm of the median of n absolute normal values, times n: (2 z f(z))^-2 at their median z.
+_OF_MEDIAN = 1.36
 #: Frames that tell how far voxels share noise: each has all pairs of neighbours.
 _ENOUGH = 12
 #: Edges of a grid whose transform is quick are multiples of this.
@@ -39,7 +43,8 @@ class VoxelNoise:
     """Noise of the voxels of a segmentation, in units of their region's spread.
 
     Args:
-        by_frame: h (R, K), 1 in the median frame, or about that where voxels do not scatter by their region's counts.
+        by_frame: h (R, K), 1 in the median frame of a region like the others, or about that where voxels do not scatter
+            by their region's counts.
         shared: C, sampled at whole voxels (lags), the middle at no distance.
         labels: region of every voxel in a box around them, from 1, 0 outside.
     """
@@ -120,7 +125,8 @@ def voxel_noise(
     left /= (by_frame / even).astype(np.float32)[place]
     bends: NDArray[np.floating] = second_differences(left)  # type: ignore[arg-type]
     bends /= _bent(residual, by_frame).astype(np.float32)[place]
-    return VoxelNoise(by_frame, _shared(bends, labels, size), labels)
+    noise = VoxelNoise(by_frame, _shared(bends, labels, size), labels)
+    return replace(noise, by_frame=by_frame * _by_region(left / kept[place], place, noise)[:, None])
 
 
 def _bent(residual: NDArray[np.floating], by_frame: Array) -> Array:
@@ -152,6 +158,23 @@ def _evened(left: NDArray[np.floating], place: NDArray[np.intp], spread: Array) 
     own, seen = (_interaction(np.log(values), weight) for values in (spread, sizes))
     told = -float((weight * own * seen).sum()) / (float((weight * own**2).sum()) + _USUAL_LAW**-2.0)
     return np.exp(-np.clip(told, -1.0, 1.0) * own)
+
+
+def _by_region(left: NDArray[np.floating], place: NDArray[np.intp], noise: VoxelNoise) -> Array:
+    """Size of each region's noise beside the others' (R,): what lies deep in the head or is reconstructed otherwise.
+
+    Residuals have lost their region's mean, which takes more from small regions. Near one where few voxels tell.
+    """
+    number = np.bincount(place)
+    alone = float(noise.shared[tuple(n // 2 for n in noise.shared.shape)])
+    sizes = np.array([np.median(np.abs(left[place == r])) for r in range(len(number))], np.float64)
+    if not (sizes > 0).all() or alone <= 0:
+        return np.ones(len(number))
+    alike = noise.shared / alone
+    lost, as_one = (replace(noise, shared=c).sizes(1.0 / number[place]) ** 2 for c in (alike, alike**2))
+    told = np.log(sizes) - 0.5 * np.log(np.maximum(1.0 - lost, 1.0 - _TAKEN))
+    weight = left.shape[1] / np.maximum(as_one, 1.0 / number)  # squares of two voxels go together as c^2
+    return np.exp((told - np.average(told, weights=weight)) / (1.0 + _OF_MEDIAN / _USUAL_REGION**2 / weight))
 
 
 def _interaction(values: Array, weight: Array) -> Array:

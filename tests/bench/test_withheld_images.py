@@ -128,9 +128,9 @@ def test_an_edge_that_no_label_tells_hides_small_motion(scanned: Scanned) -> Non
 def test_a_delay_that_the_simulator_lacks_is_not_refitted(scanned: Scanned) -> None:
     late = replace(scanned, subject=replace(scanned.subject, delay=0.1))
     place = Place(draw(np.random.default_rng(1), late.subject), 0, late.head)
-    cause = cases.Cause("arterial_delay", "input", lambda size, place: AS_ALWAYS, 1.5, spatial=False)
+    cause = Cause("arterial_delay", "input", lambda size, place: AS_ALWAYS, 1.5, spatial=False)
 
-    def made(simulator: Simulator) -> cases.Made:
+    def made(simulator: Simulator) -> making.Made:
         scene = making.Scene(np.random.default_rng(1), late, simulator, 8.0, 0.0, 0)
         return making.made_of(scene, cause, place, 1.0, AS_ALWAYS)
 

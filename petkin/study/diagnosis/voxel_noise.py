@@ -28,9 +28,10 @@ _FURTHEST_MM = 25.0
 _TAKEN, _QUIET = 0.8, 0.05
 #: Voxels that scatter as one, and how far noise usually keeps from the law of a region's own counts.
 _TOGETHER, _USUAL_LAW = 10.0, 0.5
-#: How far a region's noise usually keeps from the others', in logarithms.
+#: How far a region's noise usually keeps from the others', in logarithms: set beforehand, not by how scans are judged.
 _USUAL_REGION = 0.2
-#: Variance of the logarithm of the median of n absolute normal values, times n: (2 z f(z))^-2 at their median z.
+#: Variance of the logarithm of the median of n absolute normal values, times n: (2 z f(z))^-2, z their median, f
+#: their density (Serfling RJ. Approximation Theorems of Mathematical Statistics. 1980, section 2.3.3).
 _OF_MEDIAN = 1.36
 #: Frames that tell how far voxels share noise: each has all pairs of neighbours.
 _ENOUGH = 12
@@ -163,7 +164,9 @@ def _evened(left: NDArray[np.floating], place: NDArray[np.intp], spread: Array) 
 def _by_region(left: NDArray[np.floating], place: NDArray[np.intp], noise: VoxelNoise) -> Array:
     """Size of each region's noise beside the others' (R,): what lies deep in the head or is reconstructed otherwise.
 
-    Residuals have lost their region's mean, which takes more from small regions. Near one where few voxels tell.
+        log b_r = (t_r - mean of t) / (1 + v_r / 0.2^2),   t_r = log median |e_v(k)| - log(1 - m_r) / 2
+
+    m the share of variance that residuals have lost with their region's mean, v the variance of t.
     """
     number = np.bincount(place)
     alone = float(noise.shared[tuple(n // 2 for n in noise.shared.shape)])

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import diagnose
 from petkin.diagnosis.covariance import Noise
-from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import Fit, State, refit
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS, effect_named
@@ -29,6 +28,7 @@ from petkin.study.diagnose import ALWAYS, prepared, sources_of
 from petkin.study.diagnosis.blood import errors_of
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
 from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
+from petkin.study.diagnosis.scatter import law_of_noise, scattered
 from petkin.units import SECONDS_PER_MINUTE
 from petkin_bench.withheld.ablations import PARTS, without
 
@@ -135,7 +135,7 @@ def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood:
 def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
     values = scan.curves.values
     rival = (values, scan.full)
-    fit, noise, *_ = base_fit(scan.full, values)
+    _, _, (fit, noise, *_) = law_of_noise(scan.full, values, seed=0)
     drawn = noise.coloured(rng.standard_normal(values.size))
     yield Case("twin", "twin", (), fit.values + drawn, scan.full)
     if len(scan.full.errors):
@@ -204,8 +204,11 @@ _BLUNDERS: dict[str, Callable[[FrameObservation, np.random.Generator], Array]] =
 def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str, object]:
     started = time.process_time()
     catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *case.accepted)]
-    candidates = hypotheses(catalogue, case.simulator, without=frozenset())
-    found = diagnose(case.simulator, case.values, candidates, always=ALWAYS, seed=seed)
+    scatter, simulator, _ = law_of_noise(case.simulator, case.values, seed=seed)
+    candidates = hypotheses(catalogue, simulator, without=frozenset())
+    found = diagnose(simulator, case.values, candidates, always=ALWAYS, seed=seed)
+    if scatter is not None:
+        found = scattered(found, scatter)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     return {
@@ -244,11 +247,12 @@ def _detectability(case: Case) -> object:
     if case.rival is None:
         return ""
     values, simulator = case.rival
-    fit, noise, *_ = base_fit(simulator, values)
+    _, simulator, (fit, noise, *_) = law_of_noise(simulator, values, seed=0)
     spoilt = replace(noise, spread=noise.spread * case.blunder)
     known = fit.objective - fit.chi2
+    lacking = replace(case.simulator, law=simulator.law)
     without = min(
-        refit(case.simulator, fit.values * case.blunder, spoilt, State(own, case.simulator.shared.mean)).objective
+        refit(lacking, fit.values * case.blunder, spoilt, State(own, case.simulator.shared.mean)).objective
         for own in case.simulator.starts
     )
     return round(max(without - known, 0.0) ** 0.5, 1)

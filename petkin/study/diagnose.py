@@ -40,7 +40,7 @@ from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
-from petkin.study.diagnosis.scatter import Base, Scatter, look_at_scatter, scattered
+from petkin.study.diagnosis.scatter import law_of_noise, scattered
 from petkin.study.diagnosis.sidecar import blunders
 from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states
@@ -147,7 +147,10 @@ def _diagnosed(
 ) -> Judged:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-    scatter, simulator, based = _law_of_noise(simulator, curves, request)
+    name = NOISE_VARIANCE.name
+    scatter, simulator, based = law_of_noise(
+        simulator, curves.values, seed=request.seed, without=name in request.without, included=name in request.include
+    )
     fit = based[0]
     candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
     progress("looking at the image", 0.0)
@@ -181,21 +184,6 @@ def _diagnosed(
     return Judged(found, simulator, shown, gap, states)
 
 
-def _law_of_noise(
-    simulator: RegionalSimulator, curves: RegionalCurves, request: DiagnoseRequest
-) -> tuple[Scatter | None, RegionalSimulator, Base]:
-    """What the scatter of the values says of its law, None where nobody asks; the simulator under it, and its fit."""
-    name, base = NOISE_VARIANCE.name, base_fit(simulator, curves.values)
-    if name in request.without:
-        return None, simulator, base
-    found, included = look_at_scatter(simulator, base, seed=request.seed), name in request.include
-    told = None if included else found
-    if not (included or found.claimed):
-        return told, simulator, base
-    simulator = replace(simulator, flatness=float(np.clip(found.flatness, 0.0, 1.0)))
-    return told, simulator, base_fit(simulator, curves.values)
-
-
 def _cohort(
     members: list[Member], written: list[Diagnosed], out: Path, name: str, request: DiagnoseRequest
 ) -> Diagnosed:
@@ -225,6 +213,7 @@ def foresee_study(request: DiagnoseRequest) -> tuple[tuple[str, str], ...]:
     found = []
     for source in sources:
         curves, simulator = prepared(source, request)
+        _, simulator, _ = law_of_noise(simulator, curves.values, seed=request.seed)
         candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
         found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
     return tuple(found)

@@ -20,6 +20,7 @@ from petkin.inputs import InputFunction
 from petkin.study.diagnose import ALWAYS
 from petkin.study.diagnosis.answer import onset_frame
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
+from petkin.study.diagnosis.scatter import law_of_noise, scattered
 from petkin_bench.withheld.cases import Answer, Scan
 from petkin_bench.withheld.noise import KINDS, law
 
@@ -59,7 +60,7 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         seed, draws: of the product's own noise draws.
     """
     started = time.process_time()
-    simulator = simulator_of(scan)
+    scatter, simulator, _ = law_of_noise(simulator_of(scan), scan.values, seed=seed)
     found = diagnose(
         simulator,
         scan.values,
@@ -68,6 +69,8 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         seed=seed,
         draws=draws,
     )
+    if scatter is not None:
+        found = scattered(found, scatter)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     closed = None if leader is None else leader.closure

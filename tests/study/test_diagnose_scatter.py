@@ -1,8 +1,9 @@
-"""The law of the noise: a flat one is named and its law used, counts and steps are left alone."""
+"""The law of the noise: a flat one is named, any other is used without a word, counts and steps are left alone."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import jsonschema
 import numpy as np
 import pytest
 
-from petkin.diagnosis import base_fit
+from petkin.diagnosis import base_fit, diagnose
+from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study, prepared, sources_of
+from petkin.study.diagnosis.regional import COUNTS, NoiseLaw, hypotheses
 from petkin.study.diagnosis.request import DiagnoseRequest
-from petkin.study.diagnosis.scatter import Scatter, look_at_scatter
+from petkin.study.diagnosis.scatter import Scatter, law_of_noise, look_at_scatter, scattered
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
 
@@ -72,9 +75,37 @@ def test_a_gap_that_jumps_is_no_law_of_noise(tmp_path: Path) -> None:
         out=tmp_path / "study", phantom="brain3d", voxel_size=7.0, noise=8.0, psf=5.0, effects=("motion_step=2,axis=2",)
     )
     request = DiagnoseRequest(simulate(settings), include=("blood_volume", "partial_volume"))
-    assert scatter_of(request).p_value > 1e-3
+    scatter = scatter_of(request)
+    assert scatter.p_value > 1e-3
+    assert not scatter.otherwise
+
+
+@pytest.mark.parametrize("law", [NoiseLaw(2.0, 0.0, 0.0), NoiseLaw(0.0, 0.0, 1.0)])
+def test_any_law_is_found_and_its_noise_is_no_gap(tmp_path: Path, law: NoiseLaw) -> None:
+    """2 % of every value, and what the length of frames alone says, of which the law of counts makes gaps."""
+    request = request_of(tmp_path)
+    _, _, (source,) = sources_of(request)
+    curves, counts = prepared(source, request)
+    fit, *_ = base_fit(counts, curves.values)
+    sd = replace(counts, law=law).spread(fit.values)
+    late = np.median(sd[:, 20:] / fit.values[:, 20:], axis=1, keepdims=True)
+    claimed = as_counts = 0
+    for seed in range(4):
+        noise = 0.02 * sd / late * np.random.default_rng(seed).standard_normal(sd.shape)
+        told, simulator, _ = law_of_noise(counts, fit.values + noise, seed=seed)
+        assert told is not None
+        assert told.otherwise
+        assert np.abs(np.subtract(simulator.law, law))[[0, 2]].max() < 0.8
+        candidates = hypotheses(EFFECTS, simulator, without=frozenset())
+        claimed += scattered(diagnose(simulator, fit.values + noise, candidates, seed=seed), told).present
+        as_counts += diagnose(counts, fit.values + noise, candidates, seed=seed).present
+    assert claimed <= 1 < as_counts
 
 
 @pytest.mark.parametrize(("flatness", "claimed"), [(0.7, True), (1.4, True), (1.8, False)])
 def test_what_is_flatter_than_flat_is_not_noise(flatness: float, claimed: bool) -> None:
-    assert Scatter(flatness, 0.3, 9.0, 1e-6).claimed == claimed
+    assert Scatter(COUNTS, 9.0, flatness, 0.3, 9.0, 1e-6).claimed == claimed
+
+
+def test_what_any_other_law_explains_better_is_not_told_as_flat() -> None:
+    assert not Scatter(NoiseLaw(2.0, 0.0, 0.0), 30.0, 0.7, 0.1, 9.0, 1e-6).claimed

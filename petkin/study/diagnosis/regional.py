@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,27 @@ _SLOWEST = 0.001
 _SCANNER, _KEPT = ("imaging", "noise"), 128
 
 
+class NoiseLaw(NamedTuple):
+    """Exponents a, b, c of sd^2 = value^a e^{b lambda t} / duration^c, of values that are corrected for decay.
+
+    Those of counts are 1, 1, 1; where noise has one size they are 0, 0, 0, and of a percentage of the value 2, 0, 0.
+    """
+
+    value: float = 1.0
+    decay: float = 1.0
+    duration: float = 1.0
+
+    def __str__(self) -> str:
+        if self == COUNTS:
+            return "variance as of counts: value e^(lambda t) / duration"
+        value, decay, duration = (f"{round(exponent, 1) + 0.0:g}" for exponent in self)
+        return f"variance as value^{value} e^({decay} lambda t) / duration^{duration}, not as of counts (1, 1, 1)"
+
+
+#: How counts scatter.
+COUNTS = NoiseLaw()
+
+
 @dataclass(frozen=True)
 class RegionalSimulator:
     """The tissue model with the effects that it includes.
@@ -62,8 +83,8 @@ class RegionalSimulator:
         includes: effects that are refitted with the kinetics.
         nodes: times at which the input is read, min.
         measured: effects whose part of the record was measured with care.
-        flatness: f of noise that scatters as counts to the power 1 - f.
-        grain: the noise by region and frame, relative to that of counts, where voxels show it (R, K).
+        law: how values scatter.
+        grain: the noise by region and frame, relative to that law, where voxels show it (R, K).
         errors: standard deviations of C_P relative to itself, at the nodes, one after another (m, T).
         moves: what motion adds to regions, where an image tells; see `Camera`.
     """
@@ -75,7 +96,7 @@ class RegionalSimulator:
     includes: tuple[Effect, ...]
     nodes: Array
     measured: frozenset[str] = frozenset()
-    flatness: float = 0.0
+    law: NoiseLaw = COUNTS
     grain: Array | None = None
     errors: Array = field(default_factory=lambda: np.zeros((0, 1)))
     moves: Exchange | None = None
@@ -210,11 +231,22 @@ class RegionalSimulator:
         return replace(self, input=replace(self.input, plasma=other))
 
     def spread(self, values: Array) -> Array:
-        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; flat, grainy as said."""
+        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; by another law as large in
+        the median frame of a region; grainy as said."""
         level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
-        counted = np.sqrt(level / self.clock.mean_decay_times_duration)
-        even = counted ** (1.0 - self.flatness) * np.median(counted, axis=1, keepdims=True) ** self.flatness
-        return even if self.grain is None else even * self.grain
+        spread = np.sqrt(level / self.clock.mean_decay_times_duration)
+        if self.law != COUNTS:
+            terms = self.law_terms(values)
+            apart = np.subtract(self.law, COUNTS)[:, None, None] * (terms - np.median(terms, axis=-1, keepdims=True))
+            spread = spread * np.exp(apart.sum(axis=0))
+        return spread if self.grain is None else spread * self.grain
+
+    def law_terms(self, values: Array) -> Array:
+        """What an exponent of the law multiplies in ln sd (3, R, K): half of ln value, lambda t and -ln duration."""
+        level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
+        duration = self.clock.frames.duration
+        parts = (level, duration / self.clock.mean_decay_times_duration, 1.0 / duration)
+        return 0.5 * np.log(np.maximum(np.stack([np.broadcast_to(part, level.shape) for part in parts]), 1e-300))
 
     def flexible(self, shared: Array) -> Array:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""

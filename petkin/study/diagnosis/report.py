@@ -67,7 +67,7 @@ def gap_report(
         shown=tuple((b.effect, b.why) for b in one.shown),
         gap_map=_gap_map(source, one),
         lacking=drawn_states(one.states),
-        scan=source.facts,
+        scan=(*source.facts, ("Noise", str(one.simulator.law))),
         warnings=_warnings(source, one),
         command_line=command_line,
     )

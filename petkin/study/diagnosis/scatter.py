@@ -1,14 +1,20 @@
-"""How frame values scatter: as counts do, or more evenly. No mean changes, so no template shows it; sizes do.
+"""How frame values scatter: as counts do, with one size, with a percentage of the value, or by any law like these. No
+mean changes, so no template shows it; sizes do.
 
-A value that is expected to scatter by v does so by v^(1 - f). Second differences e of the residuals, which gaps hardly
-touch, tell the flatness f by the slope of their size,
+    sd_rk^2 ~ value^a e^{b lambda t} / duration^c,    a = b = c = 1 of counts
 
-    log |e| = const_r - f log v + log |N(0, 1)|,    v^2 = (v_(k-1)^2 + 4 v_k^2 + v_(k+1)^2) / 6,
+Second differences e of the residuals, which gaps hardly touch, tell the exponents by the slopes of their sizes over
+frames, within regions,
 
-a constant a region. A slope of logarithms does not mind heavy tails. Its own bias and error come from draws of noise
-that lost to a flexible fit what the residuals did.
+    1/2 ln(min(e^2 / s^2, m^2) + 1/2),    s^2 = (sd_(k-1)^2 + 4 sd_k^2 + sd_(k+1)^2) / 6,
 
-Reference: Harvey AC. Econometrica 1976;44:461-465 (a slope of log squared residuals tells how variance goes).
+s in the usual size of the region. The 1/2 keeps those that chance to be near 0 from counting most, m the jumps of gaps
+from counting much. What slopes are without any departure from the law, how they err and how they follow the exponents
+comes from draws of noise that lost to a flexible fit what the residuals did. As much as whole frames scatter more than
+those of draws, slopes err more. Exponents have a prior, the slopes are taken again under the law that they tell, and so
+on until they tell no other.
+
+Reference: Harvey AC. Econometrica 1976;44:461-465 (slopes of log squared residuals tell how variance goes).
 """
 
 from __future__ import annotations
@@ -19,21 +25,31 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Noise
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Noise, base_fit
 from petkin.effects.noise import NOISE_VARIANCE
-from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.regional import COUNTS, NoiseLaw, RegionalSimulator
 
 Array = NDArray[np.float64]
 
-#: Draws of noise; one-sided p-value and log evidence from which on a law is taken for wrong: rarer than other claims,
-#: since a gap of the mean may also make residuals uneven.
-_DRAWS, _CLAIM, _SURE = 300, 1e-3, 5.0
-#: Least size of a difference, as a share of the region's median: zero has no logarithm. The largest that counts: more
-#: is the jump of a gap.
-_TINY, _JUMP = 1e-3, 3.0
+#: Draws of noise, rounds in which the law settles, and the largest change of an exponent in one.
+_DRAWS, _ROUNDS, _STRIDE = 200, 4, 0.7
+#: A departure of an exponent by which slopes are followed; what it is expected to be.
+_STEP, _PRIOR_SD = 0.1, 1.0
+#: Size of differences, in their variance, below which they count as near 0, and beyond which as a jump.
+_SOFT, _JUMP = 0.5, 4.1
+#: Square of the median of normal values, in their variance.
+_MEDIAN = 0.455
+#: Log evidence from which on another law than that of counts is used: of 40 scans whose noise is that of counts one
+#: has as much, of 40 each of one size and of a percentage of the value 39 and 36.
+_OTHERWISE = 3.0
+#: One-sided p-value and log evidence from which on a more even scatter is told, and by how much any other law may be
+#: likelier: rarer than other claims, since a gap of the mean may also make residuals uneven.
+_CLAIM, _SURE, _NEARLY = 1e-3, 5.0, 3.0
 #: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05
 _Z90 = 1.6448536269514722
+#: What a flatness of 1 takes from every exponent.
+_FLAT = np.subtract(NoiseLaw(0.0, 0.0, 0.0), COUNTS)
 
 
 @dataclass(frozen=True)
@@ -41,12 +57,16 @@ class Scatter:
     """What residuals say of the variance law.
 
     Args:
-        flatness: f, with its standard error.
+        law: the likeliest, under a prior about that of counts.
+        general: log evidence of any law against that of counts.
+        flatness: f of a law that is (1 - f) times that of counts, with its standard error.
         error: of it.
         log_evidence: of an f in its plausible range against 0.
         p_value: of none.
     """
 
+    law: NoiseLaw
+    general: float
     flatness: float
     error: float
     log_evidence: float
@@ -56,15 +76,42 @@ class Scatter:
     def claimed(self) -> bool:
         """Whether the law is taken for wrong, and a flatter one that there can be for right."""
         possible = self.flatness - _Z90 * self.error <= 1.0
-        return possible and self.p_value <= _CLAIM and self.log_evidence >= _SURE
+        sure = self.p_value <= _CLAIM and self.log_evidence >= _SURE
+        return possible and sure and self.log_evidence >= self.general - _NEARLY
+
+    @property
+    def otherwise(self) -> bool:
+        """Whether values are taken to scatter by another law than counts."""
+        return max(self.general, self.log_evidence) >= _OTHERWISE
 
 
 #: What `base_fit` finds: the simulator's fit, the noise, and what a flexible fit took and left.
 Base = tuple[Fit, Noise, list[Array], Array]
 
 
+def law_of_noise(
+    simulator: RegionalSimulator, values: Array, *, seed: int, without: bool = False, included: bool = False
+) -> tuple[Scatter | None, RegionalSimulator, Base]:
+    """What the scatter of regional curves says of its law, the simulator under the law that is taken, and its fit.
+
+    Args:
+        simulator: how counts scatter.
+        values: curves (R, K).
+        seed: of the draws.
+        without: a more even scatter has no name: it stays a gap, and nothing is told of it.
+        included: it is no gap: the likeliest law is taken, and nothing is told of it.
+    """
+    base = base_fit(simulator, values)
+    found = look_at_scatter(simulator, base, seed=seed)
+    told = None if without or included else found
+    if not (included or found.otherwise) or (without and found.claimed):
+        return told, simulator, base
+    simulator = replace(simulator, law=found.law)
+    return told, simulator, base_fit(simulator, values)
+
+
 def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> Scatter:
-    """The flatness of the noise of regional curves.
+    """The law by which regional curves scatter.
 
     Args:
         simulator: how counts scatter.
@@ -72,32 +119,108 @@ def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> S
         seed: of the draws.
     """
     fit, noise, bases, loose = base
-    spread = simulator.spread(np.maximum(fit.values, 0.0))
-    left = loose * noise.spread / spread
-    expected = np.log(_differenced_size(spread))
+    values = np.maximum(fit.values, 0.0)
+    terms = simulator.law_terms(values)
     rng = np.random.default_rng((seed, 29))
-    shape = (_DRAWS, *spread.shape)
-    drawn = noise.mixed(rng.standard_normal(shape), rng.standard_normal((_DRAWS, 1, spread.shape[1])))
+    shape = (_DRAWS, *values.shape)
+    drawn = noise.mixed(rng.standard_normal(shape), rng.standard_normal((_DRAWS, 1, values.shape[1])))
     for r, axes in enumerate(bases):
         drawn[:, r] -= (drawn[:, r] @ axes) @ axes.T
-    null = _slope(drawn * spread, expected)
-    error = max(float(null.std()), 1e-6)
-    flatness = float(_slope(left * spread, expected) - null.mean())
-    return Scatter(flatness, error, _log_evidence(flatness, error), float(ndtr(-flatness / error)))
+    left = loose * simulator.spread(values)
+
+    def told(apart: Array) -> _Exponents:
+        spread = replace(simulator, law=NoiseLaw(*np.add(COUNTS, apart))).spread(values)
+        information, score = _told(left, drawn * spread, spread, terms)
+        return _Exponents(information, score + information @ apart)
+
+    apart = np.zeros(len(COUNTS))
+    found = told(apart)
+    for _ in range(_ROUNDS):
+        apart = apart + np.clip(found.likeliest - apart, -_STRIDE, _STRIDE)
+        found = told(apart)
+    flatness, error = found.along(_FLAT)
+    return Scatter(
+        law=NoiseLaw(*map(float, np.add(COUNTS, apart))),
+        general=found.log_evidence,
+        flatness=flatness,
+        error=error,
+        log_evidence=_log_evidence(flatness, error),
+        p_value=float(ndtr(-flatness / error)),
+    )
 
 
-def _differenced_size(spread: Array) -> Array:
-    before, here, after = spread[:, :-2] ** 2, spread[:, 1:-1] ** 2, spread[:, 2:] ** 2
-    return np.sqrt((before + 4.0 * here + after) / 6.0)
+@dataclass(frozen=True)
+class _Exponents:
+    """What slopes say of exponents' departures from counts: their information, and its product with the estimate."""
+
+    information: Array
+    score: Array
+
+    @property
+    def _posterior(self) -> Array:
+        return self.information + np.eye(len(self.score)) / _PRIOR_SD**2
+
+    @property
+    def likeliest(self) -> Array:
+        return np.asarray(np.linalg.solve(self._posterior, self.score), np.float64)
+
+    @property
+    def log_evidence(self) -> float:
+        """Of any departures under their prior against none."""
+        occam = np.linalg.slogdet(_PRIOR_SD**2 * self._posterior)[1]
+        return float(0.5 * self.score @ self.likeliest - 0.5 * occam)
+
+    def along(self, direction: Array) -> tuple[float, float]:
+        """How far, and with which error, where departures lie along a direction."""
+        error = 1.0 / np.sqrt(max(float(direction @ self.information @ direction), 1e-12))
+        return float(direction @ self.score) * float(error) ** 2, float(error)
 
 
-def _slope(residuals: Array, expected: Array) -> Array:
-    """-f of residuals (..., R, K) whose differences are expected to have sizes of these logarithms (R, K - 2)."""
-    size = np.abs(np.diff(residuals, n=2, axis=-1)) / np.exp(expected)
-    usual = np.median(size, axis=-1, keepdims=True) + 1e-300
-    logs = np.log(np.clip(size, _TINY * usual, _JUMP * usual))
-    x = expected - expected.mean(axis=-1, keepdims=True)
-    return -(x * logs).sum(axis=(-2, -1)) / max(float((x**2).sum()), 1e-300)
+def _told(left: Array, drawn: Array, spread: Array, terms: Array) -> tuple[Array, Array]:
+    """Information of the exponents' departures from the law of a spread (R, K), and its product with their estimate.
+
+    Args:
+        left: residuals (R, K).
+        drawn: of noise with that spread (n, R, K).
+        spread: sd by region and frame.
+        terms: what exponents multiply in its logarithm (3, R, K).
+    """
+    variance = _differenced(spread**2)
+    x = _differenced(spread**2 * terms) / variance
+    x -= x.mean(axis=-1, keepdims=True)
+
+    def slopes(logs: Array) -> Array:
+        return np.einsum("tri,...ri->...t", x, logs)
+
+    seen, null = _logs(left, variance), _logs(drawn, variance)
+    bent = [[slopes(_logs(drawn * np.exp(sign * _STEP * t), variance)).mean(axis=0) for sign in (1, -1)] for t in terms]
+    follows = np.stack([(up - down) / (2.0 * _STEP) for up, down in bent], axis=1)
+    drawn_slopes = slopes(null)
+    error = np.cov(drawn_slopes.T) + _of_frames(seen, null, x) + 1e-9 * np.eye(len(terms))
+    weighed = np.asarray(np.linalg.solve(error, follows).T, np.float64)
+    return weighed @ follows, weighed @ (slopes(seen) - drawn_slopes.mean(axis=0))
+
+
+def _of_frames(seen: Array, null: Array, x: Array) -> Array:
+    """Covariance (3, 3) of slopes by how much more whole frames scatter than draws: a jump is in all regions."""
+    apart, usual = (seen - null.mean(axis=0)).mean(axis=-2), null.mean(axis=-2).var(axis=0).mean()
+    more = max(float((apart**2).mean() - usual), 0.0)
+    lag = np.abs(np.subtract.outer(np.arange(x.shape[-1]), np.arange(x.shape[-1])))
+    together = x.sum(axis=1)
+    return np.asarray(more * together @ np.maximum(1.0 - lag / 3.0, 0.0) @ together.T)
+
+
+def _logs(residuals: Array, variance: Array) -> Array:
+    """Sizes of differences of residuals (..., R, K - 2) as the top of the page has them, less their region's mean."""
+    squares = np.diff(residuals, n=2, axis=-1) ** 2 / variance
+    usual = np.median(squares, axis=-1, keepdims=True) / _MEDIAN + 1e-300
+    logs = 0.5 * np.log(np.minimum(squares / usual, _JUMP) + _SOFT)
+    return np.asarray(logs - logs.mean(axis=-1, keepdims=True))
+
+
+def _differenced(values: Array) -> Array:
+    """Of what adds up in quadrature: that of second differences, of unit size where it is even."""
+    return (values[..., :-2] + 4.0 * values[..., 1:-1] + values[..., 2:]) / 6.0
 
 
 def _log_evidence(flatness: float, error: float) -> float:

@@ -135,7 +135,7 @@ def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood:
 def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
     values = scan.curves.values
     rival = (values, scan.full)
-    _, _, (fit, noise, *_) = law_of_noise(scan.full, values, seed=0)
+    fit, noise = _usual(scan.full, values)[1:]
     drawn = noise.coloured(rng.standard_normal(values.size))
     yield Case("twin", "twin", (), fit.values + drawn, scan.full)
     if len(scan.full.errors):
@@ -167,6 +167,13 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
         factor = blunder(scan.full.clock, rng)
         for simulator in (scan.full, scan.cut("vascular_trapping")):
             yield Case("blunder", name, (name,), values * factor, simulator, (values, simulator), factor)
+
+
+def _usual(simulator: RegionalSimulator, values: Array) -> tuple[RegionalSimulator, Fit, Noise]:
+    """A simulator under the law by which curves scatter, its fit, and the noise about it."""
+    candidates = hypotheses(EFFECTS, simulator, without=frozenset())
+    _, simulator, (fit, noise, *_) = law_of_noise(simulator, values, candidates, seed=0, always=ALWAYS)
+    return simulator, fit, noise
 
 
 def _erring(simulator: RegionalSimulator, fit: Fit, noise: Noise, rng: np.random.Generator) -> Array:
@@ -204,8 +211,8 @@ _BLUNDERS: dict[str, Callable[[FrameObservation, np.random.Generator], Array]] =
 def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str, object]:
     started = time.process_time()
     catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *case.accepted)]
-    scatter, simulator, _ = law_of_noise(case.simulator, case.values, seed=seed)
-    candidates = hypotheses(catalogue, simulator, without=frozenset())
+    candidates = hypotheses(catalogue, case.simulator, without=frozenset())
+    scatter, simulator, _ = law_of_noise(case.simulator, case.values, candidates, seed=seed, always=ALWAYS)
     found = diagnose(simulator, case.values, candidates, always=ALWAYS, seed=seed)
     if scatter is not None:
         found = scattered(found, scatter)
@@ -247,7 +254,7 @@ def _detectability(case: Case) -> object:
     if case.rival is None:
         return ""
     values, simulator = case.rival
-    _, simulator, (fit, noise, *_) = law_of_noise(simulator, values, seed=0)
+    simulator, fit, noise = _usual(simulator, values)
     spoilt = replace(noise, spread=noise.spread * case.blunder)
     known = fit.objective - fit.chi2
     lacking = replace(case.simulator, law=simulator.law)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
-from petkin.study.diagnosis.scatter import law_of_noise, scattered
+from petkin.study.diagnosis.scatter import Base, Scatter, law_of_noise, scattered
 from petkin.study.diagnosis.sidecar import blunders
 from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states
@@ -147,12 +148,9 @@ def _diagnosed(
 ) -> Judged:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-    name = NOISE_VARIANCE.name
-    scatter, simulator, based = law_of_noise(
-        simulator, curves.values, seed=request.seed, without=name in request.without, included=name in request.include
-    )
-    fit = based[0]
     candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
+    scatter, simulator, based = _law_of_noise(simulator, curves, candidates, request)
+    fit = based[0]
     progress("looking at the image", 0.0)
     picture, imaged = picture_of(source, simulator, fit), None
     if picture is not None:
@@ -184,6 +182,21 @@ def _diagnosed(
     return Judged(found, simulator, shown, gap, states)
 
 
+def _law_of_noise(
+    simulator: RegionalSimulator, curves: RegionalCurves, candidates: Sequence[Hypothesis], request: DiagnoseRequest
+) -> tuple[Scatter | None, RegionalSimulator, Base]:
+    name = NOISE_VARIANCE.name
+    return law_of_noise(
+        simulator,
+        curves.values,
+        candidates,
+        seed=request.seed,
+        always=ALWAYS,
+        without=name in request.without,
+        included=name in request.include,
+    )
+
+
 def _cohort(
     members: list[Member], written: list[Diagnosed], out: Path, name: str, request: DiagnoseRequest
 ) -> Diagnosed:
@@ -213,8 +226,8 @@ def foresee_study(request: DiagnoseRequest) -> tuple[tuple[str, str], ...]:
     found = []
     for source in sources:
         curves, simulator = prepared(source, request)
-        _, simulator, _ = law_of_noise(simulator, curves.values, seed=request.seed)
         candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
+        _, simulator, _ = _law_of_noise(simulator, curves, candidates, request)
         found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
     return tuple(found)
 

@@ -60,15 +60,10 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         seed, draws: of the product's own noise draws.
     """
     started = time.process_time()
-    scatter, simulator, _ = law_of_noise(simulator_of(scan), scan.values, seed=seed)
-    found = diagnose(
-        simulator,
-        scan.values,
-        hypotheses(EFFECTS, simulator, without=frozenset()),
-        always=ALWAYS,
-        seed=seed,
-        draws=draws,
-    )
+    simulator = simulator_of(scan)
+    candidates = hypotheses(EFFECTS, simulator, without=frozenset())
+    scatter, simulator, _ = law_of_noise(simulator, scan.values, candidates, seed=seed, always=ALWAYS)
+    found = diagnose(simulator, scan.values, candidates, always=ALWAYS, seed=seed, draws=draws)
     if scatter is not None:
         found = scattered(found, scatter)
     seconds = time.process_time() - started

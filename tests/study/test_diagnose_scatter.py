@@ -89,14 +89,13 @@ def test_any_law_is_found_and_its_noise_is_no_gap(tmp_path: Path, law: NoiseLaw)
     fit, *_ = base_fit(counts, curves.values)
     sd = replace(counts, law=law).spread(fit.values)
     late = np.median(sd[:, 20:] / fit.values[:, 20:], axis=1, keepdims=True)
-    claimed = as_counts = 0
+    candidates, claimed, as_counts = hypotheses(EFFECTS, counts, without=frozenset()), 0, 0
     for seed in range(4):
         noise = 0.02 * sd / late * np.random.default_rng(seed).standard_normal(sd.shape)
-        told, simulator, _ = law_of_noise(counts, fit.values + noise, seed=seed)
+        told, simulator, _ = law_of_noise(counts, fit.values + noise, candidates, seed=seed)
         assert told is not None
         assert told.otherwise
         assert np.abs(np.subtract(simulator.law, law))[[0, 2]].max() < 0.8
-        candidates = hypotheses(EFFECTS, simulator, without=frozenset())
         claimed += scattered(diagnose(simulator, fit.values + noise, candidates, seed=seed), told).present
         as_counts += diagnose(counts, fit.values + noise, candidates, seed=seed).present
     assert claimed <= 1 < as_counts

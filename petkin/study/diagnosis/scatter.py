@@ -19,13 +19,14 @@ Reference: Harvey AC. Econometrica 1976;44:461-465 (slopes of log squared residu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Noise, base_fit
+from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Hypothesis, Noise, base_fit, diagnose
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.study.diagnosis.regional import COUNTS, NoiseLaw, RegionalSimulator
 
@@ -39,9 +40,8 @@ _STEP, _PRIOR_SD = 0.1, 1.0
 _SOFT, _JUMP = 0.5, 4.1
 #: Square of the median of normal values, in their variance.
 _MEDIAN = 0.455
-#: Log evidence from which on another law than that of counts is used: of 40 scans whose noise is that of counts one
-#: has as much, of 40 each of one size and of a percentage of the value 39 and 36.
-_OTHERWISE = 3.0
+#: Log evidence from which on another law than that of counts is used: where it is as likely as not.
+_OTHERWISE = 0.0
 #: One-sided p-value and log evidence from which on a more even scatter is told, and by how much any other law may be
 #: likelier: rarer than other claims, since a gap of the mean may also make residuals uneven.
 _CLAIM, _SURE, _NEARLY = 1e-3, 5.0, 3.0
@@ -90,19 +90,37 @@ Base = tuple[Fit, Noise, list[Array], Array]
 
 
 def law_of_noise(
-    simulator: RegionalSimulator, values: Array, *, seed: int, without: bool = False, included: bool = False
+    simulator: RegionalSimulator,
+    values: Array,
+    candidates: Sequence[Hypothesis],
+    *,
+    seed: int,
+    always: frozenset[str] = frozenset(),
+    without: bool = False,
+    included: bool = False,
 ) -> tuple[Scatter | None, RegionalSimulator, Base]:
     """What the scatter of regional curves says of its law, the simulator under the law that is taken, and its fit.
+
+    A law other than that of counts must also be that of the curves less what the likeliest cause explains of them: the
+    gap that a missing delay leaves makes early frames uneven.
 
     Args:
         simulator: how counts scatter.
         values: curves (R, K).
+        candidates: causes.
         seed: of the draws.
+        always: causes that get a refit however they look.
         without: a more even scatter has no name: it stays a gap, and nothing is told of it.
         included: it is no gap: the likeliest law is taken, and nothing is told of it.
     """
     base = base_fit(simulator, values)
     found = look_at_scatter(simulator, base, seed=seed)
+    if found.otherwise:
+        named = diagnose(simulator, values, candidates, always=always, seed=seed, draws=_DRAWS)
+        leader = named.causes[0].fit if named.causes else None
+        if leader is not None:
+            rest = values - (leader.values - named.base.values)
+            found = look_at_scatter(simulator, base_fit(simulator, rest), seed=seed)
     told = None if without or included else found
     if not (included or found.otherwise) or (without and found.claimed):
         return told, simulator, base

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from petkin.diagnosis import Member, Visible, base_fit, diagnose, foresee_design, in_common
+from petkin.diagnosis import Hypothesis, Member, Visible, base_fit, diagnose, foresee_design, in_common
 from petkin.effects import EFFECTS
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.errors import InputError

@@ -23,7 +23,21 @@ from .conftest import Ran
 from .tiny_study import BLOOD, DURATIONS, IMAGE, STARTS, dump, labels, save
 
 ROOT = Path(__file__).parents[2]
-PAGES = ("README.md", *(f"docs/{page}.md" for page in ("diagnosing", "fitting", "learning", "scale", "simulating")))
+PAGES = (
+    "README.md",
+    *(
+        f"docs/{page}.md"
+        for page in (
+            "diagnosing",
+            "diagnosing-methods",
+            "diagnosing-measured",
+            "fitting",
+            "learning",
+            "scale",
+            "simulating",
+        )
+    ),
+)
 _FENCED, _INLINE = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL), re.compile(r"`(petkin [a-z]+ [^`]+)`")
 _FILES = re.compile(r"^```toml\n# (\w+\.toml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _PATTERN = re.compile(r"\b(BIDS_DIR|COMMAND|DIR|FILE|FWHM|MM|N|NAME|PERCENT|SYMBOL|VALUE)\b|tcp://")

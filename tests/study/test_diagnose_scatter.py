@@ -77,7 +77,7 @@ def test_a_gap_that_jumps_is_no_law_of_noise(tmp_path: Path) -> None:
     request = DiagnoseRequest(simulate(settings), include=("blood_volume", "partial_volume"))
     scatter = scatter_of(request)
     assert scatter.p_value > 1e-3
-    assert not scatter.otherwise
+    assert not scatter.claimed
 
 
 @pytest.mark.parametrize("law", [NoiseLaw(2.0, 0.0, 0.0), NoiseLaw(0.0, 0.0, 1.0)])

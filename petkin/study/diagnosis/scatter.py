@@ -101,8 +101,8 @@ def law_of_noise(
 ) -> tuple[Scatter | None, RegionalSimulator, Base]:
     """What the scatter of regional curves says of its law, the simulator under the law that is taken, and its fit.
 
-    A law other than that of counts must also be that of the curves less what the likeliest cause explains of them: the
-    gap that a missing delay leaves makes early frames uneven.
+    Where the curves have a gap by any law, one other than that of counts must also be that of what the likeliest cause
+    leaves of them: the gap of a missing delay makes early frames uneven.
 
     Args:
         simulator: how counts scatter.
@@ -116,10 +116,11 @@ def law_of_noise(
     base = base_fit(simulator, values)
     found = look_at_scatter(simulator, base, seed=seed)
     if found.otherwise:
-        named = diagnose(simulator, values, candidates, always=always, seed=seed, draws=_DRAWS)
-        leader = named.causes[0].fit if named.causes else None
+        laws = (replace(simulator, law=found.law), simulator)
+        judged = [diagnose(law, values, candidates, always=always, seed=seed, draws=_DRAWS) for law in laws]
+        leader = judged[1].causes[0].fit if all(one.present for one in judged) else None
         if leader is not None:
-            rest = values - (leader.values - named.base.values)
+            rest = values - (leader.values - judged[1].base.values)
             found = look_at_scatter(simulator, base_fit(simulator, rest), seed=seed)
     told = None if without or included else found
     if not (included or found.otherwise) or (without and found.claimed):

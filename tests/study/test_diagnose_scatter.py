@@ -95,7 +95,7 @@ def test_any_law_is_found_and_its_noise_is_no_gap(tmp_path: Path, law: NoiseLaw)
         told, simulator, _ = law_of_noise(counts, fit.values + noise, candidates, seed=seed)
         assert told is not None
         assert told.otherwise
-        assert np.abs(np.subtract(simulator.law, law))[[0, 2]].max() < 0.8
+        assert np.abs(np.subtract(told.law, law))[[0, 2]].max() < 0.8
         claimed += scattered(diagnose(simulator, fit.values + noise, candidates, seed=seed), told).present
         as_counts += diagnose(counts, fit.values + noise, candidates, seed=seed).present
     assert claimed <= 1 < as_counts

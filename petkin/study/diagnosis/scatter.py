@@ -101,8 +101,9 @@ def law_of_noise(
 ) -> tuple[Scatter | None, RegionalSimulator, Base]:
     """What the scatter of regional curves says of its law, the simulator under the law that is taken, and its fit.
 
-    Where the curves have a gap by any law, one other than that of counts must also be that of what the likeliest cause
-    leaves of them: the gap of a missing delay makes early frames uneven.
+    A law other than that of counts is there to explain a gap: where counts leave none, theirs stays, and where both
+    leave one the other must also be that of what the likeliest cause leaves, since the gap of a missing delay makes
+    early frames uneven.
 
     Args:
         simulator: how counts scatter.
@@ -114,16 +115,17 @@ def law_of_noise(
         included: it is no gap: the likeliest law is taken, and nothing is told of it.
     """
     base = base_fit(simulator, values)
-    found = look_at_scatter(simulator, base, seed=seed)
+    found, gap = look_at_scatter(simulator, base, seed=seed), True
     if found.otherwise:
         laws = (replace(simulator, law=found.law), simulator)
         judged = [diagnose(law, values, candidates, always=always, seed=seed, draws=_DRAWS) for law in laws]
+        gap = judged[1].present
         leader = judged[1].causes[0].fit if all(one.present for one in judged) else None
         if leader is not None:
             rest = values - (leader.values - judged[1].base.values)
             found = look_at_scatter(simulator, base_fit(simulator, rest), seed=seed)
     told = None if without or included else found
-    if not (included or found.otherwise) or (without and found.claimed):
+    if not (included or (found.otherwise and gap)) or (without and found.claimed):
         return told, simulator, base
     simulator = replace(simulator, law=found.law)
     return told, simulator, base_fit(simulator, values)

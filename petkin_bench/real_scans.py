@@ -213,9 +213,7 @@ def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str
     catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *case.accepted)]
     candidates = hypotheses(catalogue, case.simulator, without=frozenset())
     scatter, simulator, _ = law_of_noise(case.simulator, case.values, candidates, seed=seed, always=ALWAYS)
-    found = diagnose(simulator, case.values, candidates, always=ALWAYS, seed=seed)
-    if scatter is not None:
-        found = scattered(found, scatter)
+    found = scattered(diagnose(simulator, case.values, candidates, always=ALWAYS, seed=seed), scatter)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     return {

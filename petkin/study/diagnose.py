@@ -174,7 +174,7 @@ def _diagnosed(
     )
     if imaged is not None:
         found = weighed(found, imaged.looked)
-    found = found if scatter is None else scattered(found, scatter)
+    found = scattered(found, scatter)
     gap = None if imaged is None else gap_map(imaged.voxels, found, simulator.clock)
     states = None
     if members is not None:
@@ -185,6 +185,7 @@ def _diagnosed(
 def _law_of_noise(
     simulator: RegionalSimulator, curves: RegionalCurves, candidates: Sequence[Hypothesis], request: DiagnoseRequest
 ) -> tuple[Scatter | None, RegionalSimulator, Base]:
+    """As `law_of_noise`, of what a request names and includes."""
     name = NOISE_VARIANCE.name
     return law_of_noise(
         simulator,

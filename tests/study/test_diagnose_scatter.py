@@ -14,7 +14,8 @@ import pytest
 from petkin.diagnosis import base_fit, diagnose
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study, prepared, sources_of
-from petkin.study.diagnosis.regional import COUNTS, NoiseLaw, hypotheses
+from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
+from petkin.study.diagnosis.regional import hypotheses
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter, law_of_noise, look_at_scatter, scattered
 from petkin.study.simulate import simulate

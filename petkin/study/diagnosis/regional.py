@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vess
 from petkin.imaging import CountingNoise, Exchange, FrameObservation
 from petkin.inputs import InputFunction
 from petkin.kinetics import compartment_model
+from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
 from petkin.study.diagnosis.onsets import onset_bounds, onsets
 from petkin.units import SECONDS_PER_MINUTE
 
@@ -31,8 +32,6 @@ _LOG_STEP = 1e-4
 _SHARED_STEP = 1e-3
 #: Departure of C_P by which its effect on regions is taken, which is linear.
 _DEPARTURE = 1e-3
-#: Floor of a frame's expected value, as a share of the region's highest.
-_FLOOR = 0.02
 #: Rates of the dictionary for the noise floor, 1/min.
 _LADDER = np.concatenate([[0.0], np.geomspace(1e-3, 6.0, 27)])
 #: Effects that a region has for itself where the simulator includes them.
@@ -48,27 +47,6 @@ _BLUNDER = -3.0
 _SLOWEST = 0.001
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
 _SCANNER, _KEPT = ("imaging", "noise"), 128
-
-
-class NoiseLaw(NamedTuple):
-    """Exponents a, b, c of sd^2 = value^a e^{b lambda t} / duration^c, of values that are corrected for decay.
-
-    Those of counts are 1, 1, 1; where noise has one size they are 0, 0, 0, and of a percentage of the value 2, 0, 0.
-    """
-
-    value: float = 1.0
-    decay: float = 1.0
-    duration: float = 1.0
-
-    def __str__(self) -> str:
-        if self == COUNTS:
-            return "variance as of counts: value e^(lambda t) / duration"
-        value, decay, duration = (f"{round(exponent, 1) + 0.0:g}" for exponent in self)
-        return f"variance as value^{value} e^({decay} lambda t) / duration^{duration}, not as of counts (1, 1, 1)"
-
-
-#: How counts scatter.
-COUNTS = NoiseLaw()
 
 
 @dataclass(frozen=True)
@@ -231,22 +209,9 @@ class RegionalSimulator:
         return replace(self, input=replace(self.input, plasma=other))
 
     def spread(self, values: Array) -> Array:
-        """sd of counts: sqrt(max(f, floor) e^{lambda t} / d) of a value corrected for decay; by another law as large in
-        the median frame of a region; grainy as said."""
-        level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
-        spread = np.sqrt(level / self.clock.mean_decay_times_duration)
-        if self.law != COUNTS:
-            terms = self.law_terms(values)
-            apart = np.subtract(self.law, COUNTS)[:, None, None] * (terms - np.median(terms, axis=-1, keepdims=True))
-            spread = spread * np.exp(apart.sum(axis=0))
+        """sd by the law (R, K); grainy as said."""
+        spread = self.law.spread(values, self.clock)
         return spread if self.grain is None else spread * self.grain
-
-    def law_terms(self, values: Array) -> Array:
-        """What an exponent of the law multiplies in ln sd (3, R, K): half of ln value, lambda t and -ln duration."""
-        level = np.maximum(values, _FLOOR * values.max(axis=1, keepdims=True))
-        duration = self.clock.frames.duration
-        parts = (level, duration / self.clock.mean_decay_times_duration, 1.0 / duration)
-        return 0.5 * np.log(np.maximum(np.stack([np.broadcast_to(part, level.shape) for part in parts]), 1e-300))
 
     def flexible(self, shared: Array) -> Array:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""

@@ -28,7 +28,8 @@ from scipy.special import log_ndtr, ndtr
 
 from petkin.diagnosis import CLAIM, Cause, Diagnosis, Estimate, Fit, Hypothesis, Noise, base_fit, diagnose
 from petkin.effects.noise import NOISE_VARIANCE
-from petkin.study.diagnosis.regional import COUNTS, NoiseLaw, RegionalSimulator
+from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, terms
+from petkin.study.diagnosis.regional import RegionalSimulator
 
 Array = NDArray[np.float64]
 
@@ -115,20 +116,43 @@ def law_of_noise(
         included: it is no gap: the likeliest law is taken, and nothing is told of it.
     """
     base = base_fit(simulator, values)
-    found, gap = look_at_scatter(simulator, base, seed=seed), True
-    if found.otherwise:
-        laws = (replace(simulator, law=found.law), simulator)
-        judged = [diagnose(law, values, candidates, always=always, seed=seed, draws=_DRAWS) for law in laws]
-        gap = judged[1].present
-        leader = judged[1].causes[0].fit if all(one.present for one in judged) else None
-        if leader is not None:
-            rest = values - (leader.values - judged[1].base.values)
-            found = look_at_scatter(simulator, base_fit(simulator, rest), seed=seed)
+    found = look_at_scatter(simulator, base, seed=seed)
+    if included:
+        taken = True
+    else:
+        found, taken = _confirmed(simulator, values, candidates, found, seed=seed, always=always)
+        taken = taken and not (without and found.claimed)
     told = None if without or included else found
-    if not (included or (found.otherwise and gap)) or (without and found.claimed):
+    if not taken:
         return told, simulator, base
     simulator = replace(simulator, law=found.law)
     return told, simulator, base_fit(simulator, values)
+
+
+def _confirmed(
+    simulator: RegionalSimulator,
+    values: Array,
+    candidates: Sequence[Hypothesis],
+    found: Scatter,
+    *,
+    seed: int,
+    always: frozenset[str],
+) -> tuple[Scatter, bool]:
+    """What the scatter says beside any gap, and whether its law is taken in place of that of counts."""
+
+    def judged(law: RegionalSimulator) -> Diagnosis:
+        return diagnose(law, values, candidates, always=always, seed=seed, draws=_DRAWS)
+
+    if not found.otherwise:
+        return found, False
+    counted = judged(simulator)
+    if not counted.present:
+        return found, False
+    leader = counted.causes[0].fit
+    if leader is not None and judged(replace(simulator, law=found.law)).present:
+        rest = values - (leader.values - counted.base.values)
+        found = look_at_scatter(simulator, base_fit(simulator, rest), seed=seed)
+    return found, found.otherwise
 
 
 def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> Scatter:
@@ -141,7 +165,7 @@ def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> S
     """
     fit, noise, bases, loose = base
     values = np.maximum(fit.values, 0.0)
-    terms = simulator.law_terms(values)
+    each = terms(values, simulator.clock)
     rng = np.random.default_rng((seed, 29))
     shape = (_DRAWS, *values.shape)
     drawn = noise.mixed(rng.standard_normal(shape), rng.standard_normal((_DRAWS, 1, values.shape[1])))
@@ -151,7 +175,7 @@ def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> S
 
     def told(apart: Array) -> _Exponents:
         spread = replace(simulator, law=NoiseLaw(*np.add(COUNTS, apart))).spread(values)
-        information, score = _told(left, drawn * spread, spread, terms)
+        information, score = _told(left, drawn * spread, spread, each)
         return _Exponents(information, score + information @ apart)
 
     apart = np.zeros(len(COUNTS))
@@ -197,27 +221,27 @@ class _Exponents:
         return float(direction @ self.score) * float(error) ** 2, float(error)
 
 
-def _told(left: Array, drawn: Array, spread: Array, terms: Array) -> tuple[Array, Array]:
+def _told(left: Array, drawn: Array, spread: Array, each: Array) -> tuple[Array, Array]:
     """Information of the exponents' departures from the law of a spread (R, K), and its product with their estimate.
 
     Args:
         left: residuals (R, K).
         drawn: of noise with that spread (n, R, K).
         spread: sd by region and frame.
-        terms: what exponents multiply in its logarithm (3, R, K).
+        each: what exponents multiply in its logarithm (3, R, K).
     """
     variance = _differenced(spread**2)
-    x = _differenced(spread**2 * terms) / variance
+    x = _differenced(spread**2 * each) / variance
     x -= x.mean(axis=-1, keepdims=True)
 
     def slopes(logs: Array) -> Array:
         return np.einsum("tri,...ri->...t", x, logs)
 
     seen, null = _logs(left, variance), _logs(drawn, variance)
-    bent = [[slopes(_logs(drawn * np.exp(sign * _STEP * t), variance)).mean(axis=0) for sign in (1, -1)] for t in terms]
+    bent = [[slopes(_logs(drawn * np.exp(sign * _STEP * t), variance)).mean(axis=0) for sign in (1, -1)] for t in each]
     follows = np.stack([(up - down) / (2.0 * _STEP) for up, down in bent], axis=1)
     drawn_slopes = slopes(null)
-    error = np.cov(drawn_slopes.T) + _of_frames(seen, null, x) + 1e-9 * np.eye(len(terms))
+    error = np.cov(drawn_slopes.T) + _of_frames(seen, null, x) + 1e-9 * np.eye(len(each))
     weighed = np.asarray(np.linalg.solve(error, follows).T, np.float64)
     return weighed @ follows, weighed @ (slopes(seen) - drawn_slopes.mean(axis=0))
 
@@ -252,12 +276,14 @@ def _log_evidence(flatness: float, error: float) -> float:
     return inside + 0.5 * np.log(2.0 * np.pi) + float(np.log(error)) + 0.5 * (flatness / error) ** 2
 
 
-def scattered(found: Diagnosis, scatter: Scatter) -> Diagnosis:
-    """A diagnosis together with what residuals say of the variance law.
+def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:
+    """A diagnosis together with what residuals say of the variance law; as it is where they are not asked.
 
     Where the law is wrong, that is a cause of its own if there is no other gap, and stands beside every single cause
     if there is one; the diagnosis must then have been made under the law that was found.
     """
+    if scatter is None:
+        return found
     name, stage = NOISE_VARIANCE.name, NOISE_VARIANCE.stage
     size = _estimate(scatter)
     found = replace(

@@ -12,6 +12,10 @@ from contextlib import contextmanager
 
 import torch
 import torch.distributed as dist
+
+# Read before any group is joined: defaults of its functions hold, for good, the group that there is when it is read,
+# else by the first optimizer, and a group that is held keeps its threads, which may abort the interpreter as it ends.
+import torch.distributed.nn
 from torch import Tensor
 
 

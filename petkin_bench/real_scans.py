@@ -172,8 +172,8 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
 def _usual(simulator: RegionalSimulator, values: Array) -> tuple[RegionalSimulator, Fit, Noise]:
     """A simulator under the law by which curves scatter, its fit, and the noise about it."""
     candidates = hypotheses(EFFECTS, simulator, without=frozenset())
-    _, simulator, (fit, noise, *_) = law_of_noise(simulator, values, candidates, seed=0, always=ALWAYS)
-    return simulator, fit, noise
+    _, simulator, detected = law_of_noise(simulator, values, candidates, seed=0, always=ALWAYS)
+    return simulator, *detected.based[:2]
 
 
 def _erring(simulator: RegionalSimulator, fit: Fit, noise: Noise, rng: np.random.Generator) -> Array:
@@ -212,8 +212,9 @@ def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str
     started = time.process_time()
     catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *case.accepted)]
     candidates = hypotheses(catalogue, case.simulator, without=frozenset())
-    scatter, simulator, _ = law_of_noise(case.simulator, case.values, candidates, seed=seed, always=ALWAYS)
-    found = scattered(diagnose(simulator, case.values, candidates, always=ALWAYS, seed=seed), scatter)
+    scatter, simulator, detected = law_of_noise(case.simulator, case.values, candidates, seed=seed, always=ALWAYS)
+    found = diagnose(simulator, case.values, candidates, always=ALWAYS, seed=seed, detected=detected)
+    found = scattered(found, scatter)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     return {

@@ -6,7 +6,7 @@ from petkin.diagnosis.contrasts import Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import Visible, indistinct
-from petkin.diagnosis.diagnose import CLAIM, diagnose, draws_left, foresee_design
+from petkin.diagnosis.diagnose import CLAIM, DRAWS, Base, Detected, detect, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
 from petkin.diagnosis.families import Family
 from petkin.diagnosis.noise import second_differences
@@ -20,14 +20,17 @@ from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate
 __all__ = [
     "ALIKE",
     "CLAIM",
+    "DRAWS",
     "DRIVE",
     "ONE",
     "WITHIN",
+    "Base",
     "Cause",
     "Cohort",
     "Contrasted",
     "Coordinates",
     "Departure",
+    "Detected",
     "Diagnosis",
     "Elsewhere",
     "Estimate",
@@ -46,6 +49,7 @@ __all__ = [
     "Visible",
     "Witness",
     "base_fit",
+    "detect",
     "diagnose",
     "draws_left",
     "each_alone",

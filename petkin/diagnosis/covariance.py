@@ -9,7 +9,9 @@ channel's own, and the first bracket is
 
 where u_ck goes as a channel's values over its own noise, with a mean u^2 of 1 over the channels of a sample: rho is the
 share of the variance of a usual channel. b_m is what the channels show of one standard deviation of an error of what
-drives them, where that is known with errors.
+drives them, where that is known with errors. Where v is not known for sure, draws of noise have
+
+    v_ck exp(sum_m z_m e_mck),   z standard normal.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ class Noise:
         share: rho.
         load: u (C, K), or (C, 1) where samples do not differ; None where all are 1.
         errors: b, what channels show of errors of what drives them (M, C, K).
+        uneven: e, errors of ln v (M, C, K).
     """
 
     spread: Array
@@ -45,6 +48,7 @@ class Noise:
     share: float
     load: Array | None = None
     errors: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
+    uneven: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
 
     @cached_property
     def mixing(self) -> Array:
@@ -103,6 +107,12 @@ class Noise:
             return np.zeros((count, self.spread.size))
         axes, size = self._errors
         return np.asarray((rng.standard_normal((count, len(size))) * size) @ axes.T, np.float64)
+
+    def sizes(self, rng: np.random.Generator, count: int) -> Array:
+        """Draws (count, C, K) of how large v may be, relative to what it is taken for; (1, 1, 1) where it is known."""
+        if not len(self.uneven):
+            return np.ones((1, 1, 1))
+        return np.asarray(np.exp(np.einsum("nm,mck->nck", rng.standard_normal((count, len(self.uneven))), self.uneven)))
 
     def without_errors(self, residuals: Array) -> Array:
         """Residuals (C, K) less what is likeliest to come from errors of what drives the channels."""

@@ -77,7 +77,7 @@ def noise_draws(
     held = np.cumsum([*likely.values()])
     freedom = np.array([*likely])[np.searchsorted(held, (np.arange(count) + 0.5) / count * held[-1])]
     alone = _tailed(rng, (count, channels, samples), freedom)
-    draws = noise.mixed(alone, rng.standard_normal((count, 1, samples)))
+    draws = noise.mixed(alone, rng.standard_normal((count, 1, samples))) * noise.sizes(rng, count)
     wild = np.ones_like(draws)
     for _ in range(_LOOKS):
         wild = outlying(_beyond(draws / wild, bases) * wild)

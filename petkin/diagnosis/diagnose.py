@@ -27,17 +27,40 @@ from petkin.diagnosis.where import over
 from petkin.diagnosis.which import Candidate, again, refitted, singles
 
 Array = NDArray[np.float64]
+#: What `base_fit` finds: the simulator's fit, the noise, and what a flexible fit took and left.
+Base = tuple[Fit, Noise, list[Array], Array]
 Progress = Callable[[str, float], None]
 
 #: Draws of noise for the test, and the p-value at which a gap is claimed: of 373 training scans of noise alone 0.036
 #: lie below it, and 0.056 below 0.05.
-_DRAWS, CLAIM = 400, 0.03
+DRAWS, CLAIM = 400, 0.03
 #: Log evidence from which on an explanation's own residual tells the noise better than the first floor.
 _SURE = 5.0
 #: Spreads that differ by less than this are the same.
 _SAME_SPREAD = 0.1
 #: Causes listed at most, and the probability below which none is.
 _LISTED, _NEGLIGIBLE = 8, 0.005
+
+
+@dataclass(frozen=True)
+class Detected:
+    """Whether there is a gap.
+
+    Args:
+        based: the simulator's fit, the noise, and what a flexible fit took and left.
+        scan: every hypothesis around that fit.
+        drawn: what the refit leaves of whitened draws of noise (n, C K).
+        p_value: share of the draws that look as much like a gap as the data.
+    """
+
+    based: Base
+    scan: Scan
+    drawn: Array
+    p_value: float
+
+    @property
+    def present(self) -> bool:
+        return self.p_value <= CLAIM
 
 
 def _silent(_: str, __: float) -> None:
@@ -66,7 +89,8 @@ def diagnose(
     always: frozenset[str] = frozenset(),
     elsewhere: Elsewhere | None = None,
     seed: int = 0,
-    draws: int = _DRAWS,
+    draws: int = DRAWS,
+    detected: Detected | None = None,
     progress: Progress = _silent,
 ) -> Diagnosis:
     """Compare data with what a simulator can produce.
@@ -79,26 +103,50 @@ def diagnose(
         elsewhere: what was seen beside the channels, in what they are means of.
         seed: of the draws.
         draws: how many.
+        detected: what `detect` finds in these data, with this simulator and these hypotheses, where it is known.
         progress: told what is being done, and how far it is.
     """
-    rng = np.random.default_rng(seed)
-    progress("fitting", 0.05)
-    base, noise, bases, loose = base_fit(simulator, data)
-    progress("looking at every effect", 0.2)
-    scan = scan_of(simulator, noise, base, hypotheses)
-    drawn = draws_left(rng, draws, (base, noise, bases, loose), scan.projection)
-    null = scan.evidence(drawn)
-    p = p_value(float(statistic(scan.evidence(base.residual), null)), statistic(null, null))
+    if detected is None:
+        progress("looking at every effect", 0.05)
+        detected = detect(simulator, data, hypotheses, seed=seed, draws=draws)
+    base, noise, _, _ = detected.based
     progress("refitting the likely ones", 0.4)
-    explained = _explained(simulator, data, _Explained(noise, base, scan, []), always)
+    explained = _explained(simulator, data, _Explained(noise, base, detected.scan, []), always)
     progress("weighing", 0.8)
-    return _verdict(simulator, data, explained, hypotheses, elsewhere, p, drawn)
+    return _verdict(simulator, data, explained, hypotheses, elsewhere, detected)
+
+
+def detect(
+    simulator: Simulator,
+    data: Array,
+    hypotheses: Sequence[Hypothesis],
+    *,
+    seed: int = 0,
+    draws: int = DRAWS,
+    based: Base | None = None,
+) -> Detected:
+    """Whether data hold anything that a simulator cannot produce and noise seldom looks like.
+
+    Args:
+        simulator: what predicts.
+        data: (C, K), finite.
+        hypotheses: effects that may be missing.
+        seed: of the draws.
+        draws: how many.
+        based: what `base_fit` finds, where it is known.
+    """
+    based = base_fit(simulator, data) if based is None else based
+    scan = scan_of(simulator, based[1], based[0], hypotheses)
+    drawn = draws_left(np.random.default_rng(seed), draws, based, scan.projection)
+    null = scan.evidence(drawn)
+    observed = float(statistic(scan.evidence(based[0].residual), null))
+    return Detected(based, scan, drawn, p_value(observed, statistic(null, null)))
 
 
 def draws_left(
     rng: np.random.Generator,
     count: int,
-    based: tuple[Fit, Noise, list[Array], Array],
+    based: Base,
     projection: Projection | None = None,
 ) -> Array:
     """What the refit leaves of whitened draws of noise (count, C K).
@@ -166,17 +214,16 @@ def _verdict(
     explained: _Explained,
     hypotheses: Sequence[Hypothesis],
     elsewhere: Elsewhere | None,
-    p: float,
-    drawn: Array,
+    detected: Detected,
 ) -> Diagnosis:
     shape = (data.shape[0], data.shape[1])
     noise, base, ranked, projection = explained.noise, explained.base, explained.ranked, explained.projection
+    present, drawn = detected.present, detected.drawn
     unnamed, place = float(explained.scan.unknown(base.residual)), explained.scan.unnamed(base.residual)
     if elsewhere is not None:
         unnamed, place = elsewhere.joined(unnamed), elsewhere.place(unnamed, place)
     named = beside(simulator.times, noise, ranked, elsewhere)
     probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=LAPSE)
-    present = p <= CLAIM
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
     listed = sorted(listed, key=lambda c: -probability[c.label])
     listed = [c if c.fit is not None else _with_fit(simulator, data, explained, c) for c in listed]
@@ -210,7 +257,7 @@ def _verdict(
     return Diagnosis(
         channels=tuple(simulator.channels),
         present=present,
-        p_value=p,
+        p_value=detected.p_value,
         chi2_per_dof=base.chi2 / max(base.residual.size - base.jacobian.shape[1], 1),
         noise=noise,
         base=base,

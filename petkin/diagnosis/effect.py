@@ -215,6 +215,11 @@ class Simulator(Protocol):
         """Relative standard deviation of noise (channels, samples) for expected values."""
         ...
 
+    def uneven(self, values: Array) -> Array:
+        """What its logarithm gains (n, C, K) by one standard deviation of every error of its law, as far as that is
+        known to have any."""
+        ...
+
     def flexible(self, shared: Array) -> Array:
         """Non-negative curves (curves, samples) whose mixtures hold any channel without a gap."""
         ...

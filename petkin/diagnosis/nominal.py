@@ -37,7 +37,8 @@ def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array]
         least = least_noise(simulator, base.values, spread)
         level, factor = levels(base.values, spread), simulator.common_factor
         noise = first_floor((data - base.values) / spread, spread, flexible, level, least, factor=factor)
-        noise = replace(noise, errors=simulator.unsure(base.state.own, base.state.shared))
+        errors = simulator.unsure(base.state.own, base.state.shared)
+        noise = replace(noise, errors=errors, uneven=simulator.uneven(np.maximum(base.values, 0.0)))
         base = refit(simulator, data, noise, base.state)
     loose, freedom, bases = flexible
     size = np.sqrt((loose**2).sum(axis=1) / freedom)[:, None]

@@ -11,7 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from petkin.diagnosis import Hypothesis, Member, Visible, base_fit, diagnose, foresee_design, in_common
+from petkin.diagnosis import (
+    Detected,
+    Hypothesis,
+    Member,
+    Visible,
+    base_fit,
+    detect,
+    diagnose,
+    foresee_design,
+    in_common,
+)
 from petkin.effects import EFFECTS
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.errors import InputError
@@ -41,7 +51,7 @@ from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
-from petkin.study.diagnosis.scatter import Base, Scatter, law_of_noise, scattered
+from petkin.study.diagnosis.scatter import Scatter, law_of_noise, scattered
 from petkin.study.diagnosis.sidecar import blunders
 from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states
@@ -148,28 +158,34 @@ def _diagnosed(
 ) -> Judged:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-    candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
-    scatter, simulator, based = _law_of_noise(simulator, curves, candidates, request)
-    fit = based[0]
-    progress("looking at the image", 0.0)
-    picture, imaged = picture_of(source, simulator, fit), None
+    told = {b.effect: b.odds for b in shown}
+
+    def possible() -> tuple[Hypothesis, ...]:
+        every = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
+        return tuple(replace(h, log_odds=told.get(h.name, h.log_odds)) for h in every)
+
+    progress("looking at every effect", 0.0)
+    candidates = seen = possible()
+    scatter, simulator, detected = _law_of_noise(simulator, curves, candidates, request)
+    progress("looking at the image", 0.1)
+    picture, imaged = picture_of(source, simulator, detected.based[0]), None
     if picture is not None:
         simulator = replace(simulator, grain=picture.grain.of_means())
         based = base_fit(simulator, curves.values)
-        fit = based[0]
         names = frozenset(h.name for h in candidates)
-        imaged = look_at_image(picture, simulator, fit, names, seed=request.seed)
+        imaged = look_at_image(picture, simulator, based[0], names, seed=request.seed)
         simulator = replace(simulator, moves=moves(imaged.voxels))
-        candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
-    told = {b.effect: b.odds for b in shown}
-    candidates = tuple(replace(h, log_odds=told.get(h.name, h.log_odds)) for h in candidates)
+        candidates = possible()
+        seen = tuple(map(imaged.looked.told, candidates))
+        detected = detect(simulator, curves.values, seen, seed=request.seed, based=based)
     found = diagnose(
         simulator,
         curves.values,
-        candidates if imaged is None else tuple(map(imaged.looked.told, candidates)),
+        seen,
         always=ALWAYS,
         elsewhere=None if imaged is None else imaged.elsewhere,
         seed=request.seed,
+        detected=detected,
         progress=progress,
     )
     if imaged is not None:
@@ -178,13 +194,15 @@ def _diagnosed(
     gap = None if imaged is None else gap_map(imaged.voxels, found, simulator.clock)
     states = None
     if members is not None:
-        states = read_states(members, simulator, curves.values, based, candidates, seed=request.seed, progress=progress)
+        states = read_states(
+            members, simulator, curves.values, detected.based, candidates, seed=request.seed, progress=progress
+        )
     return Judged(found, simulator, shown, gap, states)
 
 
 def _law_of_noise(
     simulator: RegionalSimulator, curves: RegionalCurves, candidates: Sequence[Hypothesis], request: DiagnoseRequest
-) -> tuple[Scatter | None, RegionalSimulator, Base]:
+) -> tuple[Scatter | None, RegionalSimulator, Detected]:
     """As `law_of_noise`, of what a request names and includes."""
     name = NOISE_VARIANCE.name
     return law_of_noise(

@@ -139,6 +139,9 @@ class MovingBodies:
     def spread(self, values: Array) -> Array:
         return np.ones_like(values)
 
+    def uneven(self, values: Array) -> Array:
+        return np.zeros((0, *values.shape))
+
     def flexible(self, shared: Array) -> Array:
         blocks = self.data.shape[1] // self.body.frames
         cosines = np.cos(np.pi * np.arange(_COSINES)[:, None] * np.linspace(0.0, 1.0, self.body.frames))

@@ -62,8 +62,11 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
     started = time.process_time()
     simulator = simulator_of(scan)
     candidates = hypotheses(EFFECTS, simulator, without=frozenset())
-    scatter, simulator, _ = law_of_noise(simulator, scan.values, candidates, seed=seed, always=ALWAYS)
-    found = scattered(diagnose(simulator, scan.values, candidates, always=ALWAYS, seed=seed, draws=draws), scatter)
+    scatter, simulator, detected = law_of_noise(
+        simulator, scan.values, candidates, seed=seed, draws=draws, always=ALWAYS
+    )
+    found = diagnose(simulator, scan.values, candidates, always=ALWAYS, seed=seed, draws=draws, detected=detected)
+    found = scattered(found, scatter)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     closed = None if leader is None else leader.closure

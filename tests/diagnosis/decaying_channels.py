@@ -54,6 +54,9 @@ class DecayingChannels:
     def spread(self, values: Array) -> Array:
         return np.ones_like(values)
 
+    def uneven(self, values: Array) -> Array:
+        return np.zeros((0, *values.shape))
+
     def flexible(self, shared: Array) -> Array:
         return np.exp(-np.geomspace(0.01, 3.0, 12)[:, None] * self.times)
 

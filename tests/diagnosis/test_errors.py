@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Diagnosis, Term, diagnose
+from petkin.diagnosis import Diagnosis, Term, detect, diagnose
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.detect import noise_draws
 
@@ -36,6 +36,17 @@ def shaken(rng: np.random.Generator, *terms: Term) -> Array:
     clean = simulator.predict(TRUTH, np.zeros(0), terms)
     errors = SIZE * np.sqrt(2.0) * rng.choice([-1.0, 1.0], 2) @ swings(simulator.times)
     return clean * (1.0 + errors) + SD * rng.standard_normal(clean.shape)
+
+
+@dataclass(frozen=True)
+class Unsure(DecayingChannels):
+    """How the noise goes with time is known within a standard deviation, or taken for known."""
+
+    error: float = 0.5
+
+    def uneven(self, values: Array) -> Array:
+        tilt = self.error * np.linspace(-1.0, 1.0, len(self.times))
+        return np.broadcast_to(tilt, (1, *values.shape)) if self.error else np.zeros((0, *values.shape))
 
 
 def judged(simulator: DecayingChannels, seed: int, *terms: Term) -> Diagnosis:
@@ -93,6 +104,37 @@ def test_known_errors_are_no_gap_and_unknown_ones_are() -> None:
     blind = [judged(DecayingChannels(), seed).present for seed in range(TRIALS)]
     assert sum(known) <= 2
     assert sum(blind) >= 0.8 * TRIALS
+
+
+def test_draws_are_as_uneven_as_the_law_may_be() -> None:
+    given = Noise(np.ones((2, 9)), np.ones(2), 0.0, uneven=np.tile(np.linspace(-1.0, 1.0, 9), (1, 2, 1)) / 2.0)
+    logs = np.log(given.sizes(np.random.default_rng(6), 4000))
+    np.testing.assert_allclose(logs.std(axis=0), np.abs(given.uneven[0]), atol=0.02)
+    assert given.sizes(np.random.default_rng(6), 7).shape == (7, 2, 9)
+    assert Noise(np.ones((2, 9)), np.ones(2), 0.0).sizes(np.random.default_rng(6), 7) == 1.0
+
+
+def test_noise_of_a_law_that_is_not_known_for_sure_is_no_gap() -> None:
+    """Its tilts are as likely as the simulator takes them for; taken for known, they make gaps."""
+    clean = DecayingChannels().predict(TRUTH, np.zeros(0))
+
+    def present(simulator: DecayingChannels, seed: int) -> bool:
+        rng = np.random.default_rng(seed)
+        tilt = np.exp(rng.standard_normal() * np.linspace(-1.0, 1.0, 50))
+        data = clean + SD * tilt * rng.standard_normal(clean.shape)
+        return detect(simulator, data, HYPOTHESES, seed=seed, draws=200).present
+
+    known, blind = (sum(present(Unsure(error=e), seed) for seed in range(2 * TRIALS)) for e in (1.0, 0.0))
+    assert known <= 5
+    assert blind >= 3 * max(known, 2)
+
+
+def test_what_is_known_before_is_not_looked_for_again() -> None:
+    data = shaken(np.random.default_rng(3))
+    detected = detect(Shaken(), data, HYPOTHESES, seed=3, draws=200)
+    given = diagnose(Shaken(), data, HYPOTHESES, seed=3, draws=200, detected=detected)
+    assert given.p_value == detected.p_value
+    assert given.causes == judged(Shaken(), 3).causes
 
 
 @pytest.mark.parametrize("name", ["step", "offset"])

@@ -37,8 +37,7 @@ class NoiseLaw(NamedTuple):
         spread = np.sqrt(_level(values) / clock.mean_decay_times_duration)
         if self == COUNTS:
             return spread
-        each = terms(values, clock)
-        apart = np.subtract(self, COUNTS)[:, None, None] * (each - np.median(each, axis=-1, keepdims=True))
+        apart = np.subtract(self, COUNTS)[:, None, None] * contrasts(values, clock)
         return np.asarray(spread * np.exp(apart.sum(axis=0)), np.float64)
 
 
@@ -51,6 +50,12 @@ def terms(values: Array, clock: FrameObservation) -> Array:
     level, duration = _level(values), clock.frames.duration
     parts = (level, duration / clock.mean_decay_times_duration, 1.0 / duration)
     return 0.5 * np.log(np.maximum(np.stack([np.broadcast_to(part, level.shape) for part in parts]), 1e-300))
+
+
+def contrasts(values: Array, clock: FrameObservation) -> Array:
+    """`terms` less those of a region's median frame."""
+    each = terms(values, clock)
+    return each - np.median(each, axis=-1, keepdims=True)
 
 
 def _level(values: Array) -> Array:

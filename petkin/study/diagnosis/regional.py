@@ -16,7 +16,7 @@ from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vess
 from petkin.imaging import CountingNoise, Exchange, FrameObservation
 from petkin.inputs import InputFunction
 from petkin.kinetics import compartment_model
-from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
+from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts
 from petkin.study.diagnosis.onsets import onset_bounds, onsets
 from petkin.units import SECONDS_PER_MINUTE
 
@@ -62,6 +62,7 @@ class RegionalSimulator:
         nodes: times at which the input is read, min.
         measured: effects whose part of the record was measured with care.
         law: how values scatter.
+        law_errors: standard deviations of its exponents, one after another (m, 3).
         grain: the noise by region and frame, relative to that law, where voxels show it (R, K).
         errors: standard deviations of C_P relative to itself, at the nodes, one after another (m, T).
         moves: what motion adds to regions, where an image tells; see `Camera`.
@@ -75,6 +76,7 @@ class RegionalSimulator:
     nodes: Array
     measured: frozenset[str] = frozenset()
     law: NoiseLaw = COUNTS
+    law_errors: Array = field(default_factory=lambda: np.zeros((0, len(COUNTS))))
     grain: Array | None = None
     errors: Array = field(default_factory=lambda: np.zeros((0, 1)))
     moves: Exchange | None = None
@@ -212,6 +214,10 @@ class RegionalSimulator:
         """sd by the law (R, K); grainy as said."""
         spread = self.law.spread(values, self.clock)
         return spread if self.grain is None else spread * self.grain
+
+    def uneven(self, values: Array) -> Array:
+        """Its exponents err."""
+        return np.einsum("mt,trk->mrk", self.law_errors, contrasts(values, self.clock))
 
     def flexible(self, shared: Array) -> Array:
         """Responses to a ladder of rates, blood, and what blood leaves behind."""

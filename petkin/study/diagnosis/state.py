@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import (
     ALIKE,
+    Base,
     Fit,
     Hypothesis,
     Noise,
@@ -33,7 +34,6 @@ from petkin.imaging import CountingNoise, FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
 from petkin.learning import Course, Known, Measured, Members, Read, Scene, lacking
 from petkin.study.diagnosis.regional import RegionalSimulator, hypothesis_of
-from petkin.study.diagnosis.scatter import Base
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -16,6 +16,7 @@ from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study, prepared, sources_of
 from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
 from petkin.study.diagnosis.regional import hypotheses
+from petkin.study.diagnosis.report import _law_of_noise
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter, law_of_noise, look_at_scatter, scattered
 from petkin.study.simulate import simulate
@@ -114,13 +115,15 @@ def test_what_no_scatter_could_say_for_sure_is_no_gap(tmp_path: Path) -> None:
     claimed = as_counts = unsure = 0
     for seed in range(12):
         values = fit.values + 0.02 * sd / late * np.random.default_rng(seed).standard_normal(sd.shape)
-        told, _, detected = law_of_noise(counts, values, candidates, seed=seed)
+        told, simulator, detected = law_of_noise(counts, values, candidates, seed=seed)
         assert told is not None
         gap = detect(counts, values, candidates, seed=seed).present
         claimed += detected.present
         as_counts += gap
         unsure += gap and not told.otherwise
     assert claimed <= 1
+    assert "not as of counts" in _law_of_noise(simulator)
+    assert ("would be a gap" in _law_of_noise(simulator)) == bool(len(simulator.law_errors))
     assert as_counts >= 6
     assert unsure >= 1
 

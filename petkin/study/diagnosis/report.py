@@ -67,10 +67,16 @@ def gap_report(
         shown=tuple((b.effect, b.why) for b in one.shown),
         gap_map=_gap_map(source, one),
         lacking=drawn_states(one.states),
-        scan=(*source.facts, ("Noise", str(one.simulator.law))),
+        scan=(*source.facts, ("Noise", _law_of_noise(one.simulator))),
         warnings=_warnings(source, one),
         command_line=command_line,
     )
+
+
+def _law_of_noise(simulator: RegionalSimulator) -> str:
+    """Which it is, and how it came to be taken."""
+    instead = "" if not len(simulator.law_errors) else "; by that of counts there would be a gap, which it explains"
+    return f"{simulator.law}{instead}"
 
 
 def _warnings(source: Source, one: Judged) -> tuple[str, ...]:

@@ -57,9 +57,9 @@ _MEDIAN = 0.455
 #: Prior log odds of the law of counts against another. At 4 to 1 noise that is not that of counts seldom makes a claim
 #: (4 of 120 twins of real scans instead of 33), and 102 of 108 claims of training gaps of d' 4 to 8 stay.
 _COUNTS_LOG_ODDS = float(np.log(4.0))
-#: One-sided p-value and log evidence from which on a more even scatter is told, and by how much any other law may be
-#: likelier: rarer than other claims, since a gap of the mean may also make residuals uneven.
-_CLAIM, _SURE, _NEARLY = 1e-3, 5.0, 3.0
+#: One-sided p-value and log evidence from which on a more even scatter is told, where no other law is likelier: rarer than
+#: other claims, since a gap of the mean may also make residuals uneven.
+_CLAIM, _SURE = 1e-3, 5.0
 #: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05
 _Z90 = 1.6448536269514722
@@ -94,7 +94,7 @@ class Scatter:
         """Whether the law is taken for wrong, and a flatter one that there can be for right."""
         possible = self.flatness - _Z90 * self.error <= 1.0
         sure = self.p_value <= _CLAIM and self.log_evidence >= _SURE
-        return possible and sure and self.log_evidence >= self.general - _NEARLY
+        return possible and sure and self.log_evidence >= self.general
 
     @property
     def otherwise(self) -> bool:

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import diagnose
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.refit import Fit, State, refit
 from petkin.dynamics import PiecewiseLinear
@@ -26,9 +25,9 @@ from petkin.imaging import FrameObservation
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS, prepared, sources_of
 from petkin.study.diagnosis.blood import errors_of
+from petkin.study.diagnosis.judging import diagnose_curves, law_of_noise
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
 from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
-from petkin.study.diagnosis.scatter import law_of_noise, scattered
 from petkin.units import SECONDS_PER_MINUTE
 from petkin_bench.withheld.ablations import PARTS, without
 
@@ -212,9 +211,7 @@ def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str
     started = time.process_time()
     catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *case.accepted)]
     candidates = hypotheses(catalogue, case.simulator, without=frozenset())
-    scatter, simulator, detected = law_of_noise(case.simulator, case.values, candidates, seed=seed, always=ALWAYS)
-    found = diagnose(simulator, case.values, candidates, always=ALWAYS, seed=seed, detected=detected)
-    found = scattered(found, scatter)
+    found, _ = diagnose_curves(case.simulator, case.values, candidates, always=ALWAYS, seed=seed)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     return {

@@ -8,9 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from petkin.diagnosis import Diagnosis, Member, diagnose, in_common
+from petkin.diagnosis import Diagnosis, Member, in_common
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import ALWAYS
+from petkin.study.diagnosis.judging import diagnose_curves
 from petkin.study.diagnosis.regional import hypotheses
 from petkin_bench.timing import measure
 from petkin_bench.withheld.cases import Scan
@@ -47,7 +48,7 @@ def _edges(frames: Frames) -> np.ndarray:
 def _diagnosed(scan: Scan, draws: int) -> Diagnosis:
     simulator = simulator_of(scan)
     candidates = hypotheses(EFFECTS, simulator, without=frozenset())
-    return diagnose(simulator, scan.values, candidates, always=ALWAYS, draws=draws)
+    return diagnose_curves(simulator, scan.values, candidates, always=ALWAYS, draws=draws)[0]
 
 
 def measure_sizes(told: Callable[[str], None] = lambda _: None) -> list[dict[str, object]]:

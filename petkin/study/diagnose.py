@@ -48,10 +48,11 @@ from petkin.study.diagnosis.blood import allowing, errors_of, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
+from petkin.study.diagnosis.judging import law_of_noise, scattered
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
-from petkin.study.diagnosis.scatter import Scatter, law_of_noise, scattered
+from petkin.study.diagnosis.scatter import Scatter
 from petkin.study.diagnosis.sidecar import blunders
 from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states

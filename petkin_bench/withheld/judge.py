@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Diagnosis, diagnose
+from petkin.diagnosis import Diagnosis
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.detect import statistic
 from petkin.diagnosis.diagnose import scan_of
@@ -19,8 +19,8 @@ from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
 from petkin.study.diagnose import ALWAYS
 from petkin.study.diagnosis.answer import onset_frame
+from petkin.study.diagnosis.judging import diagnose_curves
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
-from petkin.study.diagnosis.scatter import law_of_noise, scattered
 from petkin_bench.withheld.cases import Answer, Scan
 from petkin_bench.withheld.noise import KINDS, law
 
@@ -62,11 +62,7 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
     started = time.process_time()
     simulator = simulator_of(scan)
     candidates = hypotheses(EFFECTS, simulator, without=frozenset())
-    scatter, simulator, detected = law_of_noise(
-        simulator, scan.values, candidates, seed=seed, draws=draws, always=ALWAYS
-    )
-    found = diagnose(simulator, scan.values, candidates, always=ALWAYS, seed=seed, draws=draws, detected=detected)
-    found = scattered(found, scatter)
+    found, simulator = diagnose_curves(simulator, scan.values, candidates, always=ALWAYS, seed=seed, draws=draws)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     closed = None if leader is None else leader.closure

@@ -14,11 +14,12 @@ import pytest
 from petkin.diagnosis import base_fit, detect, diagnose
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study, prepared, sources_of
+from petkin.study.diagnosis.judging import law_of_noise, scattered
 from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
 from petkin.study.diagnosis.regional import hypotheses
 from petkin.study.diagnosis.report import _law_of_noise
 from petkin.study.diagnosis.request import DiagnoseRequest
-from petkin.study.diagnosis.scatter import Scatter, law_of_noise, look_at_scatter, scattered
+from petkin.study.diagnosis.scatter import Scatter, look_at_scatter
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
 

@@ -1,0 +1,181 @@
+"""What regional curves say, under the law by which they scatter.
+
+A law other than that of counts is there to explain a gap: where counts leave none, theirs stays. Where they leave one,
+its p-value is the mean over both laws, each as likely as the scatter makes it, and if that claims nothing the other law
+stands in place of the gap. If it does, the other must also be the law of what the likeliest cause leaves to be taken,
+since the gap of a missing delay makes early frames uneven. A law that is flatter than that of counts has a name,
+`noise_variance`; it is beside other causes where there is a gap as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis import (
+    CLAIM,
+    DRAWS,
+    Cause,
+    Detected,
+    Diagnosis,
+    Estimate,
+    Fit,
+    Hypothesis,
+    base_fit,
+    detect,
+    diagnose,
+)
+from petkin.effects.noise import NOISE_VARIANCE
+from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.scatter import Scatter, look_at_scatter
+
+Array = NDArray[np.float64]
+
+#: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
+_PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05
+_Z90 = 1.6448536269514722
+
+
+def diagnose_curves(
+    simulator: RegionalSimulator,
+    values: Array,
+    candidates: Sequence[Hypothesis],
+    *,
+    always: frozenset[str] = frozenset(),
+    seed: int = 0,
+    draws: int = DRAWS,
+) -> tuple[Diagnosis, RegionalSimulator]:
+    """What regional curves alone say under the law by which they scatter, and the simulator under that law.
+
+    Args:
+        simulator: how counts scatter.
+        values: curves (R, K).
+        candidates: causes.
+        always: those that get a refit however they look.
+        seed, draws: of noise.
+    """
+    scatter, simulator, detected = law_of_noise(simulator, values, candidates, seed=seed, draws=draws, always=always)
+    found = diagnose(simulator, values, candidates, always=always, seed=seed, draws=draws, detected=detected)
+    return scattered(found, scatter), simulator
+
+
+def law_of_noise(
+    simulator: RegionalSimulator,
+    values: Array,
+    candidates: Sequence[Hypothesis],
+    *,
+    seed: int,
+    draws: int = DRAWS,
+    always: frozenset[str] = frozenset(),
+    without: bool = False,
+    included: bool = False,
+) -> tuple[Scatter | None, RegionalSimulator, Detected]:
+    """What the scatter of regional curves says of its law, the simulator under the law that is taken, and whether that
+    leaves a gap.
+
+    Args:
+        simulator: how counts scatter.
+        values: curves (R, K).
+        candidates: causes.
+        seed, draws: of noise, behind p-values.
+        always: causes that get a refit however they look.
+        without: a more even scatter has no name: it stays a gap, and nothing is told of it.
+        included: it is no gap: the likeliest law is taken, and nothing is told of it.
+    """
+
+    def looked(under: RegionalSimulator) -> Detected:
+        return detect(under, values, candidates, seed=seed, draws=draws)
+
+    counted = looked(simulator)
+    found = look_at_scatter(simulator, counted.based, seed=seed)
+    told = None if without or included else found
+    if not included:
+        if not counted.present or (without and found.claimed):
+            return told, simulator, counted
+        other = replace(simulator, law=found.law, law_errors=found.errors)
+        otherwise = looked(other)
+        if found.odds * otherwise.p_value + (1.0 - found.odds) * counted.p_value > CLAIM:
+            return told, other, otherwise
+        if found.otherwise:
+            leader = diagnose(simulator, values, candidates, always=always, seed=seed, detected=counted).causes[0]
+            found = _beside_leader(simulator, values, counted.based[0], leader.fit, found, seed=seed)
+            told = None if without else found
+        if not found.otherwise or (without and found.claimed):
+            return told, simulator, counted
+    other = replace(simulator, law=found.law)
+    return told, other, looked(other)
+
+
+def _beside_leader(
+    simulator: RegionalSimulator, values: Array, base: Fit, leader: Fit | None, found: Scatter, *, seed: int
+) -> Scatter:
+    """What is left beside a cause says of the law; what was found where it has no fit."""
+    if leader is None:
+        return found
+    return look_at_scatter(simulator, base_fit(simulator, values - (leader.values - base.values)), seed=seed)
+
+
+def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:
+    """A diagnosis together with what residuals say of the variance law; as it is where they are not asked.
+
+    Where the law is wrong, that is a cause of its own if there is no other gap, and stands beside every single cause
+    if there is one; the diagnosis must then have been made under the law that was found.
+    """
+    if scatter is None:
+        return found
+    name, stage = NOISE_VARIANCE.name, NOISE_VARIANCE.stage
+    size = _estimate(scatter)
+    found = replace(
+        found,
+        evidence=found.evidence | {name: (stage, scatter.log_evidence)},
+        strengths=found.strengths | {name: size},
+    )
+    if not scatter.claimed:
+        return found
+    p = min(found.p_value, 2.0 * scatter.p_value)
+    sure = (1.0 - _LAPSE) / (1.0 + float(np.exp(-_PRIOR_LOG_ODDS - scatter.log_evidence)))
+    alone = Cause((name,), (stage,), sure, scatter.log_evidence, (size,))
+    if not found.present:
+        return replace(
+            found,
+            present=True,
+            p_value=min(p, CLAIM),
+            causes=(alone,),
+            likely=(alone, *found.likely),
+            chosen=(name,),
+            set_probability=sure,
+            unknown=1.0 - sure,
+            onset=None,
+            frame=None,
+        )
+    likely = tuple(_beside(cause, alone) for cause in found.likely)
+    alike = {frozenset(_with(label) for label in pair): c for pair, c in found.alike.items()}
+    chosen = tuple(_with(label) for label in found.chosen)
+    return replace(found, p_value=p, causes=likely, likely=likely, alike=alike, chosen=chosen)
+
+
+def _estimate(scatter: Scatter) -> Estimate:
+    low, high = (scatter.flatness + sign * _Z90 * scatter.error for sign in (-1.0, 1.0))
+    value, low, high = (float(np.clip(f, 0.0, 1.0)) for f in (scatter.flatness, low, high))
+    return Estimate("amplitude", "1", value, low, high)
+
+
+def _with(label: str) -> str:
+    """A label with the noise beside it; a pair stays as it is: a third cause has no place."""
+    return label if "+" in label else "+".join(sorted((label, NOISE_VARIANCE.name)))
+
+
+def _beside(cause: Cause, alone: Cause) -> Cause:
+    if len(cause.effects) > 1:
+        return cause
+    one, two = sorted((cause, alone), key=lambda c: c.label)
+    return replace(
+        cause,
+        effects=(*one.effects, *two.effects),
+        stages=(*one.stages, *two.stages),
+        log_evidence=cause.log_evidence + alone.log_evidence,
+        estimates=(*one.estimates, *two.estimates),
+    )

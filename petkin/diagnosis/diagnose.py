@@ -62,6 +62,11 @@ class Detected:
     def present(self) -> bool:
         return self.p_value <= CLAIM
 
+    @property
+    def strongest(self) -> float:
+        """Log evidence of the likeliest hypothesis before any refit."""
+        return float(self.scan.evidence(self.based[0].residual).max())
+
 
 def _silent(_: str, __: float) -> None:
     """Tells nobody."""

@@ -23,10 +23,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from scipy.special import expit, log_ndtr, ndtr
 
-from petkin.diagnosis import Base
-from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, terms
+from petkin.diagnosis import Base, Fit
+from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts, terms
 from petkin.study.diagnosis.regional import RegionalSimulator
 
 Array = NDArray[np.float64]
@@ -129,6 +130,32 @@ def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> S
         p_value=float(ndtr(-flatness / error)),
         errors=found.deviations,
     )
+
+
+def evidence_without_gap(simulator: RegionalSimulator, fit: Fit) -> float:
+    """Log evidence of any other law against that of counts if nothing but noise is in the residuals, gaps included.
+
+    Of whitened residuals z all that a law could explain, in place of any cause: with x what the exponents' departures d
+    multiply in ln sd, less the region's mean, and d as above beforehand,
+
+        ln int N(d; 0, 1) exp(sum 1/2 z^2 (1 - e^{-2 d x})) dd,   by Laplace's approximation.
+
+    Args:
+        simulator: how counts scatter.
+        fit: of it, without any cause.
+    """
+    each = contrasts(np.maximum(fit.values, 0.0), simulator.clock)
+    x = (each - each.mean(axis=-1, keepdims=True)).reshape(len(COUNTS), -1)
+    squares = fit.residual**2
+
+    def less(apart: Array) -> tuple[float, Array]:
+        left = squares * np.exp(np.clip(-2.0 * apart @ x, -50.0, 50.0))
+        value = 0.5 * (left - squares).sum() + 0.5 * apart @ apart / _PRIOR_SD**2
+        return float(value), -x @ left + apart / _PRIOR_SD**2
+
+    best = minimize(less, np.zeros(len(COUNTS)), jac=True, method="BFGS")
+    occam = np.linalg.slogdet(np.eye(len(COUNTS)) + 2.0 * _PRIOR_SD**2 * x @ x.T)[1]
+    return float(-best.fun - 0.5 * occam)
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from petkin.diagnosis import base_fit, detect, diagnose
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study, prepared, sources_of
 from petkin.study.diagnosis.judging import law_of_noise, scattered
-from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
+from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts
 from petkin.study.diagnosis.regional import hypotheses
 from petkin.study.diagnosis.report import _law_of_noise
 from petkin.study.diagnosis.request import DiagnoseRequest
-from petkin.study.diagnosis.scatter import Scatter, look_at_scatter
+from petkin.study.diagnosis.scatter import Scatter, evidence_without_gap, look_at_scatter
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
 
@@ -141,6 +141,27 @@ def test_a_law_that_is_not_sure_hides_no_gap(tmp_path: Path) -> None:
     assert len(told.errors) == 3
     assert detected.present
     assert not len(other.law_errors)
+
+
+@pytest.mark.parametrize("law", [COUNTS, NoiseLaw(0.4, 0.6, 0.7)])
+def test_evidence_without_a_gap_is_that_of_a_mean_over_laws(tmp_path: Path, law: NoiseLaw) -> None:
+    request = request_of(tmp_path)
+    _, _, (source,) = sources_of(request)
+    curves, simulator = prepared(source, request)
+    fit, *_ = base_fit(simulator, curves.values)
+    ratio = replace(simulator, law=law).spread(fit.values) / simulator.spread(fit.values)
+    z = (ratio * np.random.default_rng(0).standard_normal(ratio.shape)).ravel()
+    each = contrasts(fit.values, simulator.clock)
+    x = (each - each.mean(axis=-1, keepdims=True)).reshape(3, -1)
+    logs = np.concatenate(
+        [
+            0.5 * (z**2 * (1.0 - np.exp(-2.0 * d @ x))).sum(axis=1)
+            for d in np.random.default_rng(1).standard_normal((40, 5000, 3))
+        ]
+    )
+    expected = float(np.log(np.mean(np.exp(logs - logs.max()))) + logs.max())
+    assert evidence_without_gap(simulator, replace(fit, residual=z)) == pytest.approx(expected, abs=0.5)
+    assert (expected > 0.0) == (law != COUNTS)
 
 
 @pytest.mark.parametrize(("flatness", "claimed"), [(0.7, True), (1.4, True), (1.8, False)])

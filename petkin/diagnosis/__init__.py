@@ -6,11 +6,11 @@ from petkin.diagnosis.contrasts import Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import Visible, indistinct
-from petkin.diagnosis.diagnose import CLAIM, DRAWS, Base, Detected, detect, diagnose, draws_left, foresee_design
+from petkin.diagnosis.diagnose import CLAIM, DRAWS, Detected, detect, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
 from petkin.diagnosis.families import Family
 from petkin.diagnosis.noise import second_differences
-from petkin.diagnosis.nominal import base_fit
+from petkin.diagnosis.nominal import Base, base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states

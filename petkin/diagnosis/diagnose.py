@@ -15,7 +15,7 @@ from petkin.diagnosis.effect import Hypothesis, Simulator
 from petkin.diagnosis.estimates import estimates, regions, setting, strengths
 from petkin.diagnosis.how_far import closure
 from petkin.diagnosis.noise import levels, lowered
-from petkin.diagnosis.nominal import base_fit, least_noise
+from petkin.diagnosis.nominal import Base, base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, begun, refit
@@ -27,8 +27,6 @@ from petkin.diagnosis.where import over
 from petkin.diagnosis.which import Candidate, again, refitted, singles
 
 Array = NDArray[np.float64]
-#: What `base_fit` finds: the simulator's fit, the noise, and what a flexible fit took and left.
-Base = tuple[Fit, Noise, list[Array], Array]
 Progress = Callable[[str, float], None]
 
 #: Draws of noise for the test, and the p-value at which a gap is claimed: of 373 training scans of noise alone 0.036

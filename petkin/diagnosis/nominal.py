@@ -13,9 +13,11 @@ from petkin.diagnosis.noise import first_floor, from_flexible, levels, outlying
 from petkin.diagnosis.refit import Fit, State, refit
 
 Array = NDArray[np.float64]
+#: What `base_fit` finds: the simulator's fit, the noise, and what a flexible fit took and left of every channel.
+Base = tuple[Fit, Noise, list[Array], Array]
 
 
-def base_fit(simulator: Simulator, data: Array) -> tuple[Fit, Noise, list[Array], Array]:
+def base_fit(simulator: Simulator, data: Array) -> Base:
     """The simulator's own best fit, the noise, what the flexible fit took, and its residual, wild values as they are.
 
     Two rounds: the second weighs by the values that the first predicts.

@@ -6,6 +6,8 @@ stands in place of the gap, unless the likeliest cause has twice the evidence th
 something, the other must also be the law of what the likeliest cause leaves to be taken,
 since the gap of a missing delay makes early frames uneven. A law that is flatter than that of counts has a name,
 `noise_variance`; it is beside other causes where there is a gap as well.
+
+Reference: Meng XL. Ann Stat 1994;22:1142-1160 (p-values averaged over what is not known).
 """
 
 from __future__ import annotations

@@ -143,6 +143,8 @@ def evidence_without_gap(simulator: RegionalSimulator, fit: Fit) -> float:
     Args:
         simulator: how counts scatter.
         fit: of it, without any cause.
+
+    Reference: Kass RE, Raftery AE. J Am Stat Assoc 1995;90:773-795 (Laplace's approximation of evidence).
     """
     each = contrasts(np.maximum(fit.values, 0.0), simulator.clock)
     x = (each - each.mean(axis=-1, keepdims=True)).reshape(len(COUNTS), -1)

@@ -3,12 +3,14 @@
 A withheld effect is real: what the simulator is denied, the scan has. A blunder is known: real noise, real kinetics,
 and one mistake. A twin is the simulator's own fit with noise of the covariance that was estimated, and nothing else;
 the twin of an erring record is what the fitted kinetics make of a plasma input that errs as its samples scatter.
+
+All scans of one case are one study: they tell the law of their noise together, as `petkin diagnose` has them do.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,16 +20,17 @@ from numpy.typing import NDArray
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.refit import Fit, State, refit
 from petkin.dynamics import PiecewiseLinear
-from petkin.effects import EFFECTS, effect_named
+from petkin.effects import EFFECTS, Effect, effect_named
 from petkin.effects.clock import grown
 from petkin.errors import InputError
 from petkin.imaging import FrameObservation
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS, prepared, sources_of
 from petkin.study.diagnosis.blood import errors_of
-from petkin.study.diagnosis.judging import diagnose_curves, law_of_noise
+from petkin.study.diagnosis.judging import diagnose_curves, law_of_noise, laws_in_common
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
 from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
+from petkin.study.diagnosis.shared_law import SharedLaw
 from petkin.units import SECONDS_PER_MINUTE
 from petkin_bench.withheld.ablations import PARTS, without
 
@@ -115,12 +118,16 @@ def measure_real(
     if lacking and lacking not in PARTS:
         raise InputError(f"--without {lacking!r}: there are {', '.join(PARTS)}.")
     with without(lacking):
-        return [
-            _row(scan.label, case, rivals, seed)
-            for scan in _recordings(folder, subjects, seg, blood)
-            for case in _cases(scan, np.random.default_rng((seed, *scan.label.encode())))
-            if not only or case.name in only
-        ]
+        scans = list(_recordings(folder, subjects, seg, blood))
+        laws = _laws([(scan.full, scan.curves.values) for scan in scans], EFFECTS, 0)
+        studies: dict[tuple[str, str], list[tuple[str, Case]]] = {}
+        for scan, law in zip(scans, laws, strict=True):
+            for case in _cases(scan, law, np.random.default_rng((seed, *scan.label.encode()))):
+                if not only or case.name in only:
+                    studies.setdefault((case.name, _label(case.simulator)), []).append((scan.label, case))
+        rows = [row for study in studies.values() for row in _rows(study, rivals, seed)]
+        order = [scan.label for scan in scans]
+        return sorted(rows, key=lambda row: order.index(str(row["scan"])))
 
 
 def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood: str) -> Iterator[_Recording]:
@@ -131,10 +138,19 @@ def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood:
         yield _Recording(source.label, curves, full, prepared(source, lesser)[1], blood)
 
 
-def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
+def _laws(
+    asked: Sequence[tuple[RegionalSimulator, Array]], catalogue: Sequence[Effect], seed: int
+) -> tuple[SharedLaw | None, ...]:
+    """The law of noise of every scan as all tell it together."""
+    candidates = [hypotheses(catalogue, simulator, without=frozenset()) for simulator, _ in asked]
+    scans = [(*one, causes) for one, causes in zip(asked, candidates, strict=True)]
+    return laws_in_common(scans, seed=seed, always=ALWAYS)
+
+
+def _cases(scan: _Recording, law: SharedLaw | None, rng: np.random.Generator) -> Iterator[Case]:
     values = scan.curves.values
     rival = (values, scan.full)
-    fit, noise = _usual(scan.full, values)[1:]
+    fit, noise = _usual(scan.full, values, law)[1:]
     drawn = noise.coloured(rng.standard_normal(values.size))
     yield Case("twin", "twin", (), fit.values + drawn, scan.full)
     if len(scan.full.errors):
@@ -168,10 +184,12 @@ def _cases(scan: _Recording, rng: np.random.Generator) -> Iterator[Case]:
             yield Case("blunder", name, (name,), values * factor, simulator, (values, simulator), factor)
 
 
-def _usual(simulator: RegionalSimulator, values: Array) -> tuple[RegionalSimulator, Fit, Noise]:
+def _usual(
+    simulator: RegionalSimulator, values: Array, shared: SharedLaw | None
+) -> tuple[RegionalSimulator, Fit, Noise]:
     """A simulator under the law by which curves scatter, its fit, and the noise about it."""
     candidates = hypotheses(EFFECTS, simulator, without=frozenset())
-    _, simulator, detected = law_of_noise(simulator, values, candidates, seed=0, always=ALWAYS)
+    _, simulator, detected = law_of_noise(simulator, values, candidates, seed=0, always=ALWAYS, shared=shared)
     return simulator, *detected.based[:2]
 
 
@@ -207,18 +225,31 @@ _BLUNDERS: dict[str, Callable[[FrameObservation, np.random.Generator], Array]] =
 }
 
 
-def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str, object]:
+def _rows(study: Sequence[tuple[str, Case]], rivals: tuple[str, ...], seed: int) -> list[dict[str, object]]:
+    """What is said of one case, a row a scan."""
+    accepted = study[0][1].accepted
+    catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *accepted)]
+    laws = _laws([(case.simulator, case.values) for _, case in study], catalogue, seed)
+    return [_row(label, case, catalogue, rivals, law, seed) for (label, case), law in zip(study, laws, strict=True)]
+
+
+def _label(simulator: RegionalSimulator) -> str:
+    return " ".join([simulator.label, *(e.name for e in simulator.includes)])
+
+
+def _row(
+    label: str, case: Case, catalogue: Sequence[Effect], rivals: tuple[str, ...], law: SharedLaw | None, seed: int
+) -> dict[str, object]:
     started = time.process_time()
-    catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *case.accepted)]
     candidates = hypotheses(catalogue, case.simulator, without=frozenset())
-    found, _ = diagnose_curves(case.simulator, case.values, candidates, always=ALWAYS, seed=seed)
+    found, _ = diagnose_curves(case.simulator, case.values, candidates, always=ALWAYS, seed=seed, shared=law)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     return {
         "scan": label,
         "group": case.group,
         "case": case.name,
-        "simulator": " ".join([case.simulator.label, *(e.name for e in case.simulator.includes)]),
+        "simulator": _label(case.simulator),
         "kind": found.kind,
         "p": round(found.p_value, 4),
         "chi2": round(found.chi2_per_dof, 3),
@@ -228,7 +259,7 @@ def _row(label: str, case: Case, rivals: tuple[str, ...], seed: int) -> dict[str
         "first": _names(found.chosen[:1], case.accepted),
         "in_set": _names(found.chosen, case.accepted),
         "closure": "" if leader is None or leader.closure is None else round(leader.closure.value, 3),
-        "detectability": _detectability(case),
+        "detectability": _detectability(case, law),
         "cpu_s": round(seconds, 2),
         "rivals": " ".join(rivals) or "all",
         "place": found.unknown_place,
@@ -241,7 +272,7 @@ def _names(labels: tuple[str, ...], accepted: tuple[str, ...]) -> bool:
     return any(name in accepted for label in labels for name in label.split("+"))
 
 
-def _detectability(case: Case) -> object:
+def _detectability(case: Case, law: SharedLaw | None) -> object:
     """d' after the refit: how far the simulator stays from what it would predict with the answer, in that noise.
 
     d'^2 = min_theta |b f_with - f_without(theta)|^2, with b the blunder, which multiplies the noise as well. What these
@@ -250,7 +281,7 @@ def _detectability(case: Case) -> object:
     if case.rival is None:
         return ""
     values, simulator = case.rival
-    simulator, fit, noise = _usual(simulator, values)
+    simulator, fit, noise = _usual(simulator, values, law)
     spoilt = replace(noise, spread=noise.spread * case.blunder)
     known = fit.objective - fit.chi2
     lacking = replace(case.simulator, law=simulator.law)

@@ -48,12 +48,13 @@ from petkin.study.diagnosis.blood import allowing, errors_of, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
-from petkin.study.diagnosis.judging import law_of_noise, scattered
+from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter
-from petkin.study.diagnosis.sidecar import blunders
+from petkin.study.diagnosis.shared_law import SharedLaw
+from petkin.study.diagnosis.sidecar import Blunder, blunders
 from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states
 from petkin.study.diagnosis.state_files import write_states
@@ -68,6 +69,8 @@ from petkin.study.sources import Source
 ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
 #: Fewer frames than this with activity cannot carry a diagnosis.
 _FEWEST_FRAMES = 10
+#: Share of the work that the noise of several scans is.
+_LAWS = 0.2
 
 
 @dataclass(frozen=True)
@@ -96,15 +99,16 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
     require_own_folder(out)
     members = _members(request, sources)
     scans = [(source, *prepared(source, request)) for source in sources]
+    laws = _laws_in_common(scans, request, progress)
     written: list[Diagnosed] = []
     cohort: list[Member] = []
     for i, (source, curves, simulator) in enumerate(scans):
 
         def here(step: str, done: float, i: int = i, label: str = source.label) -> None:
-            progress(f"{label}: {step}", (i + done) / len(scans))
+            progress(f"{label}: {step}", _LAWS + (1.0 - _LAWS) * (i + done) / len(scans))
 
         started = time.process_time()
-        one = _diagnosed(source, curves, simulator, request, members, here)
+        one = _diagnosed(source, curves, simulator, request, members, laws[i], here)
         seconds = time.process_time() - started
         text = answer(
             one.found,
@@ -155,19 +159,18 @@ def _diagnosed(
     simulator: RegionalSimulator,
     request: DiagnoseRequest,
     members: Members | None,
+    shared: SharedLaw | None,
     progress: Progress,
 ) -> Judged:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-    told = {b.effect: b.odds for b in shown}
 
     def possible() -> tuple[Hypothesis, ...]:
-        every = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
-        return tuple(replace(h, log_odds=told.get(h.name, h.log_odds)) for h in every)
+        return _candidates(simulator, request, shown)
 
     progress("looking at every effect", 0.0)
     candidates = seen = possible()
-    scatter, simulator, detected = _law_of_noise(simulator, curves, candidates, request)
+    scatter, simulator, detected = _law_of_noise(simulator, curves, candidates, request, shared)
     progress("looking at the image", 0.1)
     picture, imaged = picture_of(source, simulator, detected.based[0]), None
     if picture is not None:
@@ -198,11 +201,39 @@ def _diagnosed(
         states = read_states(
             members, simulator, curves.values, detected.based, candidates, seed=request.seed, progress=progress
         )
-    return Judged(found, simulator, shown, gap, states)
+    return Judged(found, simulator, shown, gap, states, shared)
+
+
+def _candidates(
+    simulator: RegionalSimulator, request: DiagnoseRequest, shown: Sequence[Blunder] = ()
+) -> tuple[Hypothesis, ...]:
+    """Causes that a request leaves, as likely as what a sidecar shows makes them."""
+    told = {b.effect: b.odds for b in shown}
+    every = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
+    return tuple(replace(h, log_odds=told.get(h.name, h.log_odds)) for h in every)
+
+
+def _laws_in_common(
+    scans: Sequence[tuple[Source, RegionalCurves, RegionalSimulator]], request: DiagnoseRequest, progress: Progress
+) -> tuple[SharedLaw | None, ...]:
+    """How the values of all scans scatter, as they tell it together."""
+
+    def told(looks: int) -> None:
+        progress("noise of all scans", _LAWS * looks / (2 * len(scans)))
+
+    asked = [
+        (simulator, curves.values, _candidates(simulator, request, blunders(source.sidecar)))
+        for source, curves, simulator in scans
+    ]
+    return laws_in_common(asked, seed=request.seed, always=ALWAYS, told=told)
 
 
 def _law_of_noise(
-    simulator: RegionalSimulator, curves: RegionalCurves, candidates: Sequence[Hypothesis], request: DiagnoseRequest
+    simulator: RegionalSimulator,
+    curves: RegionalCurves,
+    candidates: Sequence[Hypothesis],
+    request: DiagnoseRequest,
+    shared: SharedLaw | None = None,
 ) -> tuple[Scatter | None, RegionalSimulator, Detected]:
     """As `law_of_noise`, of what a request names and includes."""
     name = NOISE_VARIANCE.name
@@ -214,6 +245,7 @@ def _law_of_noise(
         always=ALWAYS,
         without=name in request.without,
         included=name in request.include,
+        shared=shared,
     )
 
 
@@ -246,7 +278,7 @@ def foresee_study(request: DiagnoseRequest) -> tuple[tuple[str, str], ...]:
     found = []
     for source in sources:
         curves, simulator = prepared(source, request)
-        candidates = hypotheses(EFFECTS, simulator, without=frozenset(request.without))
+        candidates = _candidates(simulator, request)
         _, simulator, _ = _law_of_noise(simulator, curves, candidates, request)
         found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
     return tuple(found)

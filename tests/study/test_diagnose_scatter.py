@@ -123,8 +123,8 @@ def test_what_no_scatter_could_say_for_sure_is_no_gap(tmp_path: Path) -> None:
         as_counts += gap
         unsure += gap and not told.otherwise
     assert claimed <= 1
-    assert "not as of counts" in _law_of_noise(simulator)
-    assert ("would be a gap" in _law_of_noise(simulator)) == bool(len(simulator.law_errors))
+    assert "not as of counts" in _law_of_noise(simulator, None)
+    assert ("would be a gap" in _law_of_noise(simulator, None)) == bool(len(simulator.law_errors))
     assert as_counts >= 6
     assert unsure >= 1
 

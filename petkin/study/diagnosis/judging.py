@@ -7,12 +7,14 @@ something, the other must also be the law of what the likeliest cause leaves to 
 since the gap of a missing delay makes early frames uneven. A law that is flatter than that of counts has a name,
 `noise_variance`; it is beside other causes where there is a gap as well.
 
+Where several scans tell their law together (`laws_in_common`), that is the law of each, gap or none.
+
 Reference: Meng XL. Ann Stat 1994;22:1142-1160 (p-values averaged over what is not known).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +36,7 @@ from petkin.diagnosis import (
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.scatter import Scatter, evidence_without_gap, look_at_scatter
+from petkin.study.diagnosis.shared_law import SharedLaw, shared_law
 
 Array = NDArray[np.float64]
 
@@ -53,6 +56,7 @@ def diagnose_curves(
     always: frozenset[str] = frozenset(),
     seed: int = 0,
     draws: int = DRAWS,
+    shared: SharedLaw | None = None,
 ) -> tuple[Diagnosis, RegionalSimulator]:
     """What regional curves alone say under the law by which they scatter, and the simulator under that law.
 
@@ -62,8 +66,11 @@ def diagnose_curves(
         candidates: causes.
         always: those that get a refit however they look.
         seed, draws: of noise.
+        shared: the law as other scans tell it too.
     """
-    scatter, simulator, detected = law_of_noise(simulator, values, candidates, seed=seed, draws=draws, always=always)
+    scatter, simulator, detected = law_of_noise(
+        simulator, values, candidates, seed=seed, draws=draws, always=always, shared=shared
+    )
     found = diagnose(simulator, values, candidates, always=always, seed=seed, draws=draws, detected=detected)
     return scattered(found, scatter), simulator
 
@@ -78,6 +85,7 @@ def law_of_noise(
     always: frozenset[str] = frozenset(),
     without: bool = False,
     included: bool = False,
+    shared: SharedLaw | None = None,
 ) -> tuple[Scatter | None, RegionalSimulator, Detected]:
     """What the scatter of regional curves says of its law, the simulator under the law that is taken, and whether that
     leaves a gap.
@@ -90,11 +98,19 @@ def law_of_noise(
         always: causes that get a refit however they look.
         without: a more even scatter has no name: it stays a gap, and nothing is told of it.
         included: it is no gap: the likeliest law is taken, and nothing is told of it.
+        shared: what it is as other scans tell it too.
     """
 
     def looked(under: RegionalSimulator) -> Detected:
         return detect(under, values, candidates, seed=seed, draws=draws)
 
+    if shared is not None:
+        if without and shared.flatter:
+            return None, simulator, looked(simulator)
+        named = shared.flatter and not included
+        told = look_at_scatter(simulator, base_fit(simulator, values), seed=seed) if named else None
+        other = replace(simulator, law=shared.law, law_errors=shared.errors)
+        return told, other, looked(other)
     counted = looked(simulator)
     found = look_at_scatter(simulator, counted.based, seed=seed)
     told = None if without or included else found
@@ -114,6 +130,41 @@ def law_of_noise(
             return told, simulator, counted
     other = replace(simulator, law=found.law)
     return told, other, looked(other)
+
+
+def laws_in_common(
+    scans: Sequence[tuple[RegionalSimulator, Array, Sequence[Hypothesis]]],
+    *,
+    seed: int,
+    always: frozenset[str] = frozenset(),
+    told: Callable[[int], None] = lambda _: None,
+) -> tuple[SharedLaw | None, ...]:
+    """The law of every scan as all tell it together, beside the likeliest cause of a gap as well as without any; None
+    of one scan, and where they do not tell the law of counts from others.
+
+    Args:
+        scans: how counts scatter, curves (R, K), and causes, of each.
+        seed: of draws of noise.
+        always: causes that get a refit however they look.
+        told: the scans that have been asked, of both times together.
+    """
+    alone = (None,) * len(scans)
+    if len(scans) < 2:
+        return alone
+    looks = []
+    for simulator, values, _ in scans:
+        looks.append(look_at_scatter(simulator, base_fit(simulator, values), seed=seed))
+        told(len(looks))
+    found = shared_law(looks)
+    if found is None or not any(len(one.errors) for one in found):
+        return found or alone
+    for i, (simulator, values, candidates) in enumerate(scans):
+        detected = detect(simulator, values, candidates, seed=seed)
+        if detected.present:
+            leader = diagnose(simulator, values, candidates, always=always, seed=seed, detected=detected).causes[0]
+            looks[i] = _beside_leader(simulator, values, detected.based[0], leader.fit, looks[i], seed=seed)
+        told(len(scans) + i + 1)
+    return shared_law(looks) or alone
 
 
 def _beyond_noise(simulator: RegionalSimulator, counted: Detected) -> bool:

@@ -14,6 +14,7 @@ from petkin.fitting import Status
 from petkin.io import RegionalCurves
 from petkin.reporting import GapReport, MapSet, ParameterMap, RegionCurves
 from petkin.study.diagnosis.regional import PRIOR, RegionalSimulator
+from petkin.study.diagnosis.shared_law import SharedLaw
 from petkin.study.diagnosis.sidecar import Blunder
 from petkin.study.diagnosis.state import StatesRead
 from petkin.study.diagnosis.state_files import drawn_states
@@ -27,13 +28,14 @@ _FAR = 2.0
 @dataclass(frozen=True)
 class Judged:
     """A scan's diagnosis, and what it was compared with; what its sidecar shows, the gap by voxel where there is an
-    image, and the state map."""
+    image, the state map, and the law of noise as other scans tell it too."""
 
     found: Diagnosis
     simulator: RegionalSimulator
     shown: tuple[Blunder, ...]
     gap: NDArray[np.float32] | None
     states: StatesRead | None
+    shared: SharedLaw | None
 
 
 def gap_report(
@@ -67,14 +69,16 @@ def gap_report(
         shown=tuple((b.effect, b.why) for b in one.shown),
         gap_map=_gap_map(source, one),
         lacking=drawn_states(one.states),
-        scan=(*source.facts, ("Noise", _law_of_noise(one.simulator))),
+        scan=(*source.facts, ("Noise", _law_of_noise(one.simulator, one.shared))),
         warnings=_warnings(source, one),
         command_line=command_line,
     )
 
 
-def _law_of_noise(simulator: RegionalSimulator) -> str:
+def _law_of_noise(simulator: RegionalSimulator, shared: SharedLaw | None) -> str:
     """Which it is, and how it came to be taken."""
+    if shared is not None:
+        return f"{simulator.law}; {shared}"
     instead = "" if not len(simulator.law_errors) else "; by that of counts there would be a gap, which it explains"
     return f"{simulator.law}{instead}"
 

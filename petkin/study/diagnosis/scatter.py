@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 #: Draws of noise, rounds in which the law settles, and the largest change of an exponent in one.
 _DRAWS, _ROUNDS, _STRIDE = 200, 4, 0.7
 #: A departure of an exponent by which slopes are followed; what it is expected to be.
-_STEP, _PRIOR_SD = 0.1, 1.0
+_STEP, PRIOR_SD = 0.1, 1.0
 #: Size of differences, in their variance, below which they count as near 0, and beyond which as a jump.
 _SOFT, _JUMP = 0.5, 4.1
 #: Square of the median of normal values, in their variance.
@@ -45,10 +45,46 @@ _MEDIAN = 0.455
 _COUNTS_LOG_ODDS = float(np.log(4.0))
 #: One-sided p-value and log evidence from which on a more even scatter is told, where no other law is likelier: rarer
 #: than other claims, since a gap of the mean may also make residuals uneven.
-_CLAIM, _SURE = 1e-3, 5.0
+_CLAIM, SURE = 1e-3, 5.0
 _Z90 = 1.6448536269514722
 #: What a flatness of 1 takes from every exponent.
 _FLAT = np.subtract(NoiseLaw(0.0, 0.0, 0.0), COUNTS)
+
+
+@dataclass(frozen=True)
+class Exponents:
+    """What slopes say of exponents' departures from counts: their information, and its product with the estimate."""
+
+    information: Array
+    score: Array
+
+    def __add__(self, other: Exponents) -> Exponents:
+        """What both say of one law."""
+        return Exponents(self.information + other.information, self.score + other.score)
+
+    @property
+    def _posterior(self) -> Array:
+        return self.information + np.eye(len(self.score)) / PRIOR_SD**2
+
+    @property
+    def likeliest(self) -> Array:
+        return np.asarray(np.linalg.solve(self._posterior, self.score), np.float64)
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations of what they may be, one after another (3, 3)."""
+        return np.asarray(np.linalg.cholesky(np.linalg.inv(self._posterior)).T, np.float64)
+
+    @property
+    def log_evidence(self) -> float:
+        """Of any departures under their prior against none."""
+        occam = np.linalg.slogdet(PRIOR_SD**2 * self._posterior)[1]
+        return float(0.5 * self.score @ self.likeliest - 0.5 * occam)
+
+    def along(self, direction: Array) -> tuple[float, float]:
+        """How far, and with which error, where departures lie along a direction."""
+        error = 1.0 / np.sqrt(max(float(direction @ self.information @ direction), 1e-12))
+        return float(direction @ self.score) * float(error) ** 2, float(error)
 
 
 @dataclass(frozen=True)
@@ -62,7 +98,7 @@ class Scatter:
         error: of it.
         log_evidence: of an f in its plausible range against 0.
         p_value: of none.
-        errors: standard deviations of the law's exponents, one after another (3, 3).
+        exponents: what slopes say of the law's exponents; nothing unless given.
     """
 
     law: NoiseLaw
@@ -71,13 +107,32 @@ class Scatter:
     error: float
     log_evidence: float
     p_value: float
-    errors: Array = field(default_factory=lambda: np.zeros((0, len(COUNTS))))
+    exponents: Exponents = field(default_factory=lambda: Exponents(np.zeros((3, 3)), np.zeros(3)))
+
+    @classmethod
+    def of(cls, told: Exponents, general: float | None = None) -> Scatter:
+        """What slopes say, in evidence; `general` where more than these slopes is in it."""
+        flatness, error = told.along(_FLAT)
+        return cls(
+            law=NoiseLaw(*map(float, np.add(COUNTS, told.likeliest))),
+            general=told.log_evidence if general is None else general,
+            flatness=flatness,
+            error=error,
+            log_evidence=_log_evidence(flatness, error),
+            p_value=float(ndtr(-flatness / error)),
+            exponents=told,
+        )
+
+    @property
+    def errors(self) -> Array:
+        """Standard deviations of what the law's exponents may be, one after another (3, 3)."""
+        return self.exponents.deviations
 
     @property
     def claimed(self) -> bool:
         """Whether the law is taken for wrong, and a flatter one that there can be for right."""
         possible = self.flatness - _Z90 * self.error <= 1.0
-        sure = self.p_value <= _CLAIM and self.log_evidence >= _SURE
+        sure = self.p_value <= _CLAIM and self.log_evidence >= SURE
         return possible and sure and self.log_evidence >= self.general
 
     @property
@@ -110,26 +165,17 @@ def look_at_scatter(simulator: RegionalSimulator, base: Base, *, seed: int) -> S
         drawn[:, r] -= (drawn[:, r] @ axes) @ axes.T
     left = loose * simulator.spread(values)
 
-    def told(apart: Array) -> _Exponents:
+    def told(apart: Array) -> Exponents:
         spread = replace(simulator, law=NoiseLaw(*np.add(COUNTS, apart))).spread(values)
         information, score = _told(left, drawn * spread, spread, each)
-        return _Exponents(information, score + information @ apart)
+        return Exponents(information, score + information @ apart)
 
     apart = np.zeros(len(COUNTS))
     found = told(apart)
     for _ in range(_ROUNDS):
         apart = apart + np.clip(found.likeliest - apart, -_STRIDE, _STRIDE)
         found = told(apart)
-    flatness, error = found.along(_FLAT)
-    return Scatter(
-        law=NoiseLaw(*map(float, np.add(COUNTS, apart))),
-        general=found.log_evidence,
-        flatness=flatness,
-        error=error,
-        log_evidence=_log_evidence(flatness, error),
-        p_value=float(ndtr(-flatness / error)),
-        errors=found.deviations,
-    )
+    return replace(Scatter.of(found), law=NoiseLaw(*map(float, np.add(COUNTS, apart))))
 
 
 def evidence_without_gap(simulator: RegionalSimulator, fit: Fit) -> float:
@@ -152,44 +198,12 @@ def evidence_without_gap(simulator: RegionalSimulator, fit: Fit) -> float:
 
     def less(apart: Array) -> tuple[float, Array]:
         left = squares * np.exp(np.clip(-2.0 * apart @ x, -50.0, 50.0))
-        value = 0.5 * (left - squares).sum() + 0.5 * apart @ apart / _PRIOR_SD**2
-        return float(value), -x @ left + apart / _PRIOR_SD**2
+        value = 0.5 * (left - squares).sum() + 0.5 * apart @ apart / PRIOR_SD**2
+        return float(value), -x @ left + apart / PRIOR_SD**2
 
     best = minimize(less, np.zeros(len(COUNTS)), jac=True, method="BFGS")
-    occam = np.linalg.slogdet(np.eye(len(COUNTS)) + 2.0 * _PRIOR_SD**2 * x @ x.T)[1]
+    occam = np.linalg.slogdet(np.eye(len(COUNTS)) + 2.0 * PRIOR_SD**2 * x @ x.T)[1]
     return float(-best.fun - 0.5 * occam)
-
-
-@dataclass(frozen=True)
-class _Exponents:
-    """What slopes say of exponents' departures from counts: their information, and its product with the estimate."""
-
-    information: Array
-    score: Array
-
-    @property
-    def _posterior(self) -> Array:
-        return self.information + np.eye(len(self.score)) / _PRIOR_SD**2
-
-    @property
-    def likeliest(self) -> Array:
-        return np.asarray(np.linalg.solve(self._posterior, self.score), np.float64)
-
-    @property
-    def deviations(self) -> Array:
-        """Standard deviations of what they may be, one after another (3, 3)."""
-        return np.asarray(np.linalg.cholesky(np.linalg.inv(self._posterior)).T, np.float64)
-
-    @property
-    def log_evidence(self) -> float:
-        """Of any departures under their prior against none."""
-        occam = np.linalg.slogdet(_PRIOR_SD**2 * self._posterior)[1]
-        return float(0.5 * self.score @ self.likeliest - 0.5 * occam)
-
-    def along(self, direction: Array) -> tuple[float, float]:
-        """How far, and with which error, where departures lie along a direction."""
-        error = 1.0 / np.sqrt(max(float(direction @ self.information @ direction), 1e-12))
-        return float(direction @ self.score) * float(error) ** 2, float(error)
 
 
 def _told(left: Array, drawn: Array, spread: Array, each: Array) -> tuple[Array, Array]:

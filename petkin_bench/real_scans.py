@@ -4,7 +4,8 @@ A withheld effect is real: what the simulator is denied, the scan has. A blunder
 and one mistake. A twin is the simulator's own fit with noise of the covariance that was estimated, and nothing else;
 the twin of an erring record is what the fitted kinetics make of a plasma input that errs as its samples scatter.
 
-All scans of one case are one study: they tell the law of their noise together, as `petkin diagnose` has them do.
+All scans of one case are one study: they tell the law of their noise together, as `petkin diagnose` has them do, and
+what they share is said of the group.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin.diagnosis import Cohort, Diagnosis, Member, in_common
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.refit import Fit, State, refit
 from petkin.dynamics import PiecewiseLinear
@@ -46,6 +48,8 @@ _STEP, _EXCESS, _LATE_S = 0.10, 0.20, 10.0
 _LEAST = 0.05
 #: The frame and the onset lie in this part of the schedule, drawn by scan.
 _MIDDLE = (0.35, 0.85)
+#: Stands for all scans of a case.
+_GROUP = "group"
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ def measure_real(
                 if not only or case.name in only:
                     studies.setdefault((case.name, _label(case.simulator)), []).append((scan.label, case))
         rows = [row for study in studies.values() for row in _rows(study, rivals, seed)]
-        order = [scan.label for scan in scans]
+        order = [*(scan.label for scan in scans), _GROUP]
         return sorted(rows, key=lambda row: order.index(str(row["scan"])))
 
 
@@ -230,7 +234,35 @@ def _rows(study: Sequence[tuple[str, Case]], rivals: tuple[str, ...], seed: int)
     accepted = study[0][1].accepted
     catalogue = [e for e in EFFECTS if not rivals or e.name in (*rivals, *accepted)]
     laws = _laws([(case.simulator, case.values) for _, case in study], catalogue, seed)
-    return [_row(label, case, catalogue, rivals, law, seed) for (label, case), law in zip(study, laws, strict=True)]
+    rows, members = [], []
+    for (label, case), law in zip(study, laws, strict=True):
+        row, found = _row(label, case, catalogue, law, seed)
+        rows.append(row)
+        members.append(Member.of(label, found))
+    if len(members) > 1:
+        rows.append(_shared_row(study[0][1], in_common(members)))
+    return [row | {"rivals": " ".join(rivals) or "all"} for row in rows]
+
+
+def _shared_row(case: Case, found: Cohort) -> dict[str, object]:
+    """What all scans of a case share."""
+    leader = found.causes[0] if found.causes else None
+    return {
+        "scan": _GROUP,
+        "group": case.group,
+        "case": case.name,
+        "simulator": _label(case.simulator),
+        "kind": found.kind,
+        "p": round(found.p_value, 4),
+        "leader": "" if leader is None else leader.label,
+        "probability": 0.0 if leader is None else round(leader.probability, 3),
+        "set": " ".join(found.chosen),
+        "first": _names(found.chosen[:1], case.accepted),
+        "in_set": _names(found.chosen, case.accepted),
+        "leads": leader is not None and _names((leader.label,), case.accepted),
+        **dict.fromkeys(("chi2", "closure", "detectability", "cpu_s", "place"), ""),
+        "carriers": 0 if leader is None else int((leader.carriers > 0.5).sum()),
+    }
 
 
 def _label(simulator: RegionalSimulator) -> str:
@@ -238,14 +270,15 @@ def _label(simulator: RegionalSimulator) -> str:
 
 
 def _row(
-    label: str, case: Case, catalogue: Sequence[Effect], rivals: tuple[str, ...], law: SharedLaw | None, seed: int
-) -> dict[str, object]:
+    label: str, case: Case, catalogue: Sequence[Effect], law: SharedLaw | None, seed: int
+) -> tuple[dict[str, object], Diagnosis]:
+    """What is said of one scan."""
     started = time.process_time()
     candidates = hypotheses(catalogue, case.simulator, without=frozenset())
     found, _ = diagnose_curves(case.simulator, case.values, candidates, always=ALWAYS, seed=seed, shared=law)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
-    return {
+    row: dict[str, object] = {
         "scan": label,
         "group": case.group,
         "case": case.name,
@@ -261,10 +294,11 @@ def _row(
         "closure": "" if leader is None or leader.closure is None else round(leader.closure.value, 3),
         "detectability": _detectability(case, law),
         "cpu_s": round(seconds, 2),
-        "rivals": " ".join(rivals) or "all",
         "place": found.unknown_place,
         "leads": leader is not None and _names((leader.label,), case.accepted),
+        "carriers": "",
     }
+    return row, found
 
 
 def _names(labels: tuple[str, ...], accepted: tuple[str, ...]) -> bool:
@@ -293,7 +327,7 @@ def _detectability(case: Case, law: SharedLaw | None) -> object:
 
 
 def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
-    """Counts by case, and how often test and retest of a subject name the same first cause.
+    """Counts by case, how often test and retest of a subject name the same first cause, and what all scans share.
 
     Raises:
         InputError: no rows.
@@ -302,7 +336,9 @@ def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
         raise InputError("There are no scans to sum up; see --data and --subject.")
     found = []
     for name, simulator in dict.fromkeys((row["case"], row["simulator"]) for row in rows):
-        mine = [row for row in rows if (row["case"], row["simulator"]) == (name, simulator)]
+        both = [row for row in rows if (row["case"], row["simulator"]) == (name, simulator)]
+        mine = [row for row in both if row["scan"] != _GROUP]
+        together = [f"{row['set'] or row['kind']} ({row['carriers']})" for row in both if row["scan"] == _GROUP]
         found.append(
             {
                 "case": name,
@@ -315,6 +351,7 @@ def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
                 "leads": sum(bool(row["leads"]) for row in mine),
                 "median_set": float(np.median([len(str(row["set"]).split()) for row in mine])),
                 "agree": _agreement(mine),
+                "together": "".join(together),
             }
         )
     return found

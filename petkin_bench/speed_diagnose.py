@@ -8,11 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from petkin.diagnosis import Diagnosis, Member, in_common
+from petkin.diagnosis import Diagnosis, Hypothesis, Member, in_common
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import ALWAYS
-from petkin.study.diagnosis.judging import diagnose_curves
-from petkin.study.diagnosis.regional import hypotheses
+from petkin.study.diagnosis.judging import diagnose_curves, laws_in_common
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.shared_law import SharedLaw
 from petkin_bench.timing import measure
 from petkin_bench.withheld.cases import Scan
 from petkin_bench.withheld.judge import simulator_of
@@ -45,10 +46,13 @@ def _edges(frames: Frames) -> np.ndarray:
     return np.append(frames.start, frames.end[-1])
 
 
-def _diagnosed(scan: Scan, draws: int) -> Diagnosis:
+def _asked(scan: Scan) -> tuple[RegionalSimulator, np.ndarray, tuple[Hypothesis, ...]]:
     simulator = simulator_of(scan)
-    candidates = hypotheses(EFFECTS, simulator, without=frozenset())
-    return diagnose_curves(simulator, scan.values, candidates, always=ALWAYS, draws=draws)[0]
+    return simulator, scan.values, tuple(hypotheses(EFFECTS, simulator, without=frozenset()))
+
+
+def _diagnosed(scan: Scan, draws: int, shared: SharedLaw | None = None) -> Diagnosis:
+    return diagnose_curves(*_asked(scan), always=ALWAYS, draws=draws, shared=shared)[0]
 
 
 def measure_sizes(told: Callable[[str], None] = lambda _: None) -> list[dict[str, object]]:
@@ -72,12 +76,13 @@ def measure_sizes(told: Callable[[str], None] = lambda _: None) -> list[dict[str
 
 
 def measure_cohort(told: Callable[[str], None] = lambda _: None) -> dict[str, object]:
-    """One row: processor time of all scans of a cohort and of what they share."""
+    """One row: processor time of all scans of a cohort, of the law of their noise, and of what they share."""
     told(f"a cohort of {COHORT} ...")
     scans = [scan_of(seed, 5, 36) for seed in range(COHORT)]
 
     def all_of_them() -> object:
-        return in_common([Member.of(str(i), _diagnosed(scan, 400)) for i, scan in enumerate(scans)])
+        laws = laws_in_common([_asked(scan) for scan in scans], seed=0, always=ALWAYS)
+        return in_common([Member.of(str(i), _diagnosed(scans[i], 400, law)) for i, law in enumerate(laws)])
 
     cpu = measure(all_of_them, 1, warm_up=False).cpu
     return {"scans": COHORT, "regions": 5, "frames": 36, "draws": 400, "cpu_s": round(cpu, 3)}

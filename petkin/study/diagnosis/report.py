@@ -77,7 +77,7 @@ def gap_report(
 
 def _law_of_noise(simulator: RegionalSimulator, shared: SharedLaw | None) -> str:
     """Which it is, and how it came to be taken."""
-    if shared is not None:
+    if shared is not None and shared.law == simulator.law:
         return f"{simulator.law}; {shared}"
     instead = "" if not len(simulator.law_errors) else "; by that of counts there would be a gap, which it explains"
     return f"{simulator.law}{instead}"

@@ -244,11 +244,11 @@ def _rows(study: Sequence[tuple[str, Case]], rivals: tuple[str, ...], seed: int)
     return [row | {"rivals": " ".join(rivals) or "all"} for row in rows]
 
 
-def _shared_row(case: Case, found: Cohort) -> dict[str, object]:
-    """What all scans of a case share."""
+def _said(scan: str, case: Case, found: Diagnosis | Cohort) -> dict[str, object]:
+    """What is said of a scan, or of all scans, against the answer."""
     leader = found.causes[0] if found.causes else None
     return {
-        "scan": _GROUP,
+        "scan": scan,
         "group": case.group,
         "case": case.name,
         "simulator": _label(case.simulator),
@@ -260,9 +260,14 @@ def _shared_row(case: Case, found: Cohort) -> dict[str, object]:
         "first": _names(found.chosen[:1], case.accepted),
         "in_set": _names(found.chosen, case.accepted),
         "leads": leader is not None and _names((leader.label,), case.accepted),
-        **dict.fromkeys(("chi2", "closure", "detectability", "cpu_s", "place"), ""),
-        "carriers": 0 if leader is None else int((leader.carriers > 0.5).sum()),
+        **dict.fromkeys(("chi2", "closure", "detectability", "cpu_s", "place", "carriers"), ""),
     }
+
+
+def _shared_row(case: Case, found: Cohort) -> dict[str, object]:
+    """What all scans of a case share."""
+    carriers = int((found.causes[0].carriers > 0.5).sum()) if found.causes else 0
+    return _said(_GROUP, case, found) | {"carriers": carriers}
 
 
 def _label(simulator: RegionalSimulator) -> str:
@@ -278,25 +283,12 @@ def _row(
     found, _ = diagnose_curves(case.simulator, case.values, candidates, always=ALWAYS, seed=seed, shared=law)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
-    row: dict[str, object] = {
-        "scan": label,
-        "group": case.group,
-        "case": case.name,
-        "simulator": _label(case.simulator),
-        "kind": found.kind,
-        "p": round(found.p_value, 4),
+    row = _said(label, case, found) | {
         "chi2": round(found.chi2_per_dof, 3),
-        "leader": "" if leader is None else leader.label,
-        "probability": 0.0 if leader is None else round(leader.probability, 3),
-        "set": " ".join(found.chosen),
-        "first": _names(found.chosen[:1], case.accepted),
-        "in_set": _names(found.chosen, case.accepted),
         "closure": "" if leader is None or leader.closure is None else round(leader.closure.value, 3),
         "detectability": _detectability(case, law),
         "cpu_s": round(seconds, 2),
         "place": found.unknown_place,
-        "leads": leader is not None and _names((leader.label,), case.accepted),
-        "carriers": "",
     }
     return row, found
 

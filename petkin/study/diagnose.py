@@ -100,12 +100,13 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
     members = _members(request, sources)
     scans = [(source, *prepared(source, request)) for source in sources]
     laws = _laws_in_common(scans, request, progress)
+    begun = _LAWS if len(scans) > 1 else 0.0
     written: list[Diagnosed] = []
     cohort: list[Member] = []
     for i, (source, curves, simulator) in enumerate(scans):
 
         def here(step: str, done: float, i: int = i, label: str = source.label) -> None:
-            progress(f"{label}: {step}", _LAWS + (1.0 - _LAWS) * (i + done) / len(scans))
+            progress(f"{label}: {step}", begun + (1.0 - begun) * (i + done) / len(scans))
 
         started = time.process_time()
         one = _diagnosed(source, curves, simulator, request, members, laws[i], here)

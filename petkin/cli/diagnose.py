@@ -95,7 +95,7 @@ def diagnose(
         command_line=typed_command(),
     )
     with progress_bar() as step:
-        foreseen = foresee_study(request) if design else ()
+        foreseen = foresee_study(request, step) if design else ()
         found = () if design else diagnose_study(request, step)
     for label, text in foreseen:
         print(f"{label}:\n{text}")

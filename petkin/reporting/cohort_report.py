@@ -17,11 +17,13 @@ _MANY = 60
 
 @dataclass(frozen=True)
 class CohortReport:
-    """What the page shows: a heading, the answer as written to JSON, links to the scans' own pages, the command."""
+    """What the page shows: a heading, the answer as written to JSON, links to the scans' own pages, how their
+    noise goes, the command."""
 
     title: str
     answer: dict[str, Any]
     links: tuple[str, ...]
+    noise: str
     command_line: str
 
 

@@ -53,7 +53,7 @@ from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter
-from petkin.study.diagnosis.shared_law import SharedLaw
+from petkin.study.diagnosis.shared_law import SharedLaw, of_all
 from petkin.study.diagnosis.sidecar import Blunder, blunders
 from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states
@@ -99,7 +99,9 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
     require_own_folder(out)
     members = _members(request, sources)
     scans = [(source, *prepared(source, request)) for source in sources]
+    started = time.process_time()
     laws = _laws_in_common(scans, request, progress)
+    together = time.process_time() - started
     begun = _LAWS if len(scans) > 1 else 0.0
     written: list[Diagnosed] = []
     cohort: list[Member] = []
@@ -135,7 +137,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
         written.append(Diagnosed(source.label, text, out / relative))
         cohort.append(Member.of(source.label, one.found))
     if len(cohort) > 1:
-        written.append(_cohort(cohort, written, out, name, request))
+        written.append(_cohort(cohort, written, out, name, request, laws, together))
     progress("done", 1.0)
     return tuple(written)
 
@@ -215,7 +217,9 @@ def _candidates(
 
 
 def _laws_in_common(
-    scans: Sequence[tuple[Source, RegionalCurves, RegionalSimulator]], request: DiagnoseRequest, progress: Progress
+    scans: Sequence[tuple[Source, RegionalCurves, RegionalSimulator]],
+    request: DiagnoseRequest,
+    progress: Progress,
 ) -> tuple[SharedLaw | None, ...]:
     """How the values of all scans scatter, as they tell it together."""
 
@@ -251,37 +255,46 @@ def _law_of_noise(
 
 
 def _cohort(
-    members: list[Member], written: list[Diagnosed], out: Path, name: str, request: DiagnoseRequest
+    members: list[Member],
+    written: list[Diagnosed],
+    out: Path,
+    name: str,
+    request: DiagnoseRequest,
+    laws: Sequence[SharedLaw | None],
+    together: float,
 ) -> Diagnosed:
-    """What the scans share, written beside them."""
+    """What the scans share, written beside them; `together`, s, is what the law of their noise took."""
     started = time.process_time()
     found = in_common(members)
-    seconds = sum(one.answer["provenance"]["seconds"] for one in written) + time.process_time() - started
+    seconds = sum(one.answer["provenance"]["seconds"] for one in written) + together + time.process_time() - started
     text = cohort_answer(found, [one.answer for one in written], seed=request.seed, seconds=round(seconds, 2))
     relative = cohort_report_path(desc="gap")
     links = tuple(one.report.relative_to(out).as_posix() for one in written)
-    page = CohortReport(f"{name}: what {len(members)} scans share", text, links, request.command_line)
+    page = CohortReport(f"{name}: what {len(members)} scans share", text, links, of_all(laws), request.command_line)
     with AtomicFolder(out) as folder:
         write_text(folder.path(relative.with_suffix(".json")), json_text(text))
         write_bytes(folder.path(relative), render_cohort_report(page).encode())
     return Diagnosed("group", text, out / relative)
 
 
-def foresee_study(request: DiagnoseRequest) -> tuple[tuple[str, str], ...]:
+def foresee_study(request: DiagnoseRequest, progress: Progress = _silent) -> tuple[tuple[str, str], ...]:
     """For every scan, its label and a table of what its frames, regions and blood could ever tell.
 
-    Noise is that of the scan's own curves; no effect is judged from them.
+    Noise is that of the scan's own curves, and goes as all scans tell; no effect is judged from them.
 
     Raises:
         InputError: as `diagnose_study`.
     """
+    progress("reading", 0.0)
     _, _, sources = sources_of(request)
-    found = []
-    for source in sources:
-        curves, simulator = prepared(source, request)
+    scans = [(source, *prepared(source, request)) for source in sources]
+    laws, found = _laws_in_common(scans, request, progress), []
+    for i, ((source, curves, simulator), law) in enumerate(zip(scans, laws, strict=True)):
+        progress(f"{source.label}: design", _LAWS + (1.0 - _LAWS) * i / len(scans))
         candidates = _candidates(simulator, request)
-        _, simulator, _ = _law_of_noise(simulator, curves, candidates, request)
+        _, simulator, _ = _law_of_noise(simulator, curves, candidates, request, law)
         found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
+    progress("done", 1.0)
     return tuple(found)
 
 

@@ -54,3 +54,10 @@ def test_the_page_links_to_every_scan(found: tuple[Diagnosed, ...]) -> None:
         assert f'href="{link}"' in page
         assert (group.report.parent / link).is_file()
     assert page.count("data:image/svg+xml") == 2
+
+
+def test_the_page_says_how_noise_goes_and_seconds_hold_all_of_it(found: tuple[Diagnosed, ...]) -> None:
+    page = found[-1].report.read_text()
+    assert ("scans tell together: variance as" in page) != ("do not tell together" in page)
+    seconds = [one.answer["provenance"]["seconds"] for one in found]
+    assert seconds[-1] > sum(seconds[:-1])

@@ -17,7 +17,7 @@ from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Exponents, Scatter
-from petkin.study.diagnosis.shared_law import SharedLaw, shared_law
+from petkin.study.diagnosis.shared_law import SharedLaw, of_all, shared_law
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
 
@@ -39,6 +39,13 @@ def looks(departures: Array, error: float, seed: int) -> tuple[Scatter, ...]:
 
 def law_of(apart: Array) -> NoiseLaw:
     return NoiseLaw(*map(float, np.add(COUNTS, apart)))
+
+
+def test_the_mean_of_all_scans_is_said_in_words() -> None:
+    laws = [SharedLaw(NoiseLaw(a, 0.4, 1.0), np.zeros((3, 3)), False, 2) for a in (0.2, 0.6)]
+    assert of_all(laws).startswith("Noise as 2 scans tell together: variance as value^0.4 e^(0.4 lambda t)")
+    assert "as of counts" in of_all([SharedLaw(COUNTS, np.zeros((0, 3)), False, 2)] * 2)
+    assert "each is asked alone" in of_all([None, None])
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.3])

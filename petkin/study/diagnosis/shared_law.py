@@ -51,6 +51,15 @@ class SharedLaw:
         return f"as {self.scans} scans tell together"
 
 
+def of_all(laws: Sequence[SharedLaw | None]) -> str:
+    """How the noise of several scans goes, in words; where it varies between them, their mean law."""
+    told = [one for one in laws if one is not None]
+    if not told:
+        return "These scans do not tell together how their noise goes with value, time and frame: each is asked alone."
+    mean = NoiseLaw(*map(float, np.array([one.law for one in told]).mean(axis=0)))
+    return f"Noise {told[0]}: {mean}."
+
+
 def shared_law(looks: Sequence[Scatter]) -> tuple[SharedLaw, ...] | None:
     """The law of every scan as all of them tell it, in their order; None where they do not tell counts from others.
 

@@ -36,6 +36,7 @@ class Departure:
         family: the contrasts.
         added: what a unit gain in every place adds to them (places, J, K).
         times: of the samples (K,).
+        parts: the same of other places, which overlap and are in no gap together (parts, J, K); none is no rows.
         held: of named effects, what they add by their amplitude (m, J, K), and by its square (n, J, K); an effect's
             course in time is its own.
     """
@@ -43,6 +44,7 @@ class Departure:
     family: Family
     added: Array
     times: Array
+    parts: Array
     held: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
@@ -59,7 +61,8 @@ class _Scored:
     def of(cls, departure: Departure, least: float, name: str = "", course: Array | None = None) -> _Scored:
         """Scores, where a name is given of what that effect with its course leaves."""
         cosines = np.stack([each[:_COUNT] for each in courses(departure.times)])
-        columns = departure.added[:, None, None] * cosines[None, :, :, None, :]
+        places = np.concatenate([departure.added, departure.parts])
+        columns = places[:, None, None] * cosines[None, :, :, None, :]
         flat = columns.reshape(-1, departure.family.rows.size)
         if course is None:
             score, information = scored(departure.family, flat, least)
@@ -69,12 +72,13 @@ class _Scored:
             score, information = _beyond(*scored(departure.family, np.concatenate([flat, theirs]), least), len(flat))
         which = np.arange(len(score)).reshape(columns.shape[:3])
         alone = tuple(which[:, scale] for scale in range(len(cosines)))
-        return cls(score, information, alone, tuple(each.reshape(1, -1) for each in alone))
+        together = tuple(each[: len(departure.added)].reshape(1, -1) for each in alone)
+        return cls(score, information, alone, together)
 
     def misfits(self) -> list[float]:
-        """Squares of the scores of every place, in units of what they have without a gap."""
+        """Squares of the scores of every place that is in a gap of several, in units of what they have without one."""
         found = []
-        for place in self.alone[0]:
+        for place in self.together[0].reshape(-1, _COUNT):
             inner = self.information[np.ix_(place, place)]
             found.append(float(self.score[place] @ np.linalg.lstsq(inner, self.score[place], rcond=1e-9)[0]))
         return found

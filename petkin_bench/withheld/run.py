@@ -109,7 +109,8 @@ def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, 
 
     scan, truth, made = made_case(plan.split, plan.seed, index)
     answer = {"index": index} | row_of(truth) | {"size": round(truth.size, 4), "width": truth.width}
-    return answer, _sealed(answer) | verdict(scan, seed=index) | ideal(truth, made, seed=index)
+    read = ideal(truth, made, split=plan.split, seed=index)
+    return answer, _sealed(answer) | verdict(scan, seed=index) | read
 
 
 def _sealed(answer: dict[str, object]) -> dict[str, object]:

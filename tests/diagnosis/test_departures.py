@@ -16,6 +16,7 @@ TIMES = np.linspace(0.2, 60.0, SAMPLES)
 CURVE = 20.0 * np.exp(-TIMES / 40.0)
 #: A unit gain in a place adds the curve to that place's rows.
 ADDED = np.kron(np.eye(PLACES)[:, :, None], np.ones((1, ROWS, 1))) * CURVE
+NO_PARTS = ADDED[:0]
 #: What rows may hold of it all the time, each for itself.
 ALWAYS = 10.0 * np.eye(PLACES * ROWS)[:, :, None] * CURVE
 
@@ -25,7 +26,7 @@ def departure(gap: np.ndarray, rng: np.random.Generator, noise: float = 1.0) -> 
     rows = noise * rng.standard_normal((PLACES * ROWS, SAMPLES))
     rows += np.tensordot(rng.standard_normal(len(ALWAYS)), ALWAYS, 1)
     rows += np.einsum("bk,bjk->jk", gap, ADDED)
-    return Departure(Family(rows, ALWAYS, np.eye(len(rows))), ADDED, TIMES)
+    return Departure(Family(rows, ALWAYS, np.eye(len(rows))), ADDED, TIMES, NO_PARTS)
 
 
 def judged(each: Departure, rng: np.random.Generator) -> tuple[float, np.ndarray]:
@@ -58,6 +59,24 @@ def test_how_places_are_mixed_does_not_matter_to_what_is_as_visible_any_way() ->
         found.append(scored.evidence(scored.score, 1.0)[2])
     np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
     assert (found[0] > 5.0).all()
+
+
+def test_a_gap_in_a_part_is_seen_where_no_place_alone_shows_it() -> None:
+    """As a gap of several places of any size the same scores show less, which parts do not change."""
+    rng = np.random.default_rng(12)
+    part = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    gap = 0.12 * part[:, None] * np.sin(np.pi * TIMES / 60.0)
+    without, null = departure(gap, rng), departure(swelling(), rng)
+    parts = np.einsum("b,bjk->jk", part, ADDED)[None]
+    whole = replace(without, parts=parts)
+    (before, _), (after, drawn) = (judged(each, np.random.default_rng(13)) for each in (without, whole))
+    assert after > before + 3.0
+    assert after > drawn.max()
+    plain, kept = _Scored.of(without, 1e-9), _Scored.of(whole, 1e-9)
+    assert plain.misfits() == pytest.approx(kept.misfits())
+    for one, other in zip(plain.evidence(plain.score, 1.0)[1:], kept.evidence(kept.score, 1.0)[1:], strict=True):
+        np.testing.assert_allclose(one, other)
+    assert judged(replace(null, parts=parts), rng)[0] < 1.0
 
 
 def test_noise_has_no_evidence_of_what_is_as_visible_any_way() -> None:

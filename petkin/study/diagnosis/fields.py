@@ -2,8 +2,13 @@
 
     x_v(k) -> x_v(k) (1 + sum_b b_v g_b(k)),   b_v = cos(pi i u_1) cos(pi j u_2) cos(pi l u_3) or (-1)^(plane of v)
 
-u is the place in the box around the labels, from 0 to 1. The weights of contrasts are the same fields times the image
-as it is seen, centred within every region, and turned there so that they share no noise.
+u is the place in the box around the labels, from 0 to 1. A part of the head, as a block of detectors sees it, is a
+window along one axis:
+
+    b_v = (1 + cos(pi (u_i - c) / h)) / 2 within h of c, else 0
+
+The weights of contrasts are the waves times the image as it is seen, centred within every region, and turned there so
+that they share no noise.
 """
 
 from __future__ import annotations
@@ -24,6 +29,8 @@ Array = NDArray[np.float64]
 _ALONG, _ACROSS = 6, ((2, 3), (3, 2))
 #: Waves fade by this power of their number, as rougher fields are less likely; planes are as rough as that.
 _FADING, _PLANES = 0.5, 0.5
+#: Halves of windows along one axis, in widths of the box; from one to the next it is half of that.
+_WINDOWS = (0.5, 0.25, 0.125)
 #: Regions looked at, the largest ones: what all of them may hold besides takes time as their cube.
 _REGIONS = 20
 #: Directions with less of the noise than this share of the largest are left out; sizes below this share of the mean
@@ -49,32 +56,44 @@ def departures(
     """
     bright, regions = voxels.total(voxels.seen), _largest(voxels)
     found = []
-    for fields in _fields(voxels):
+    for fields, windows in _fields(voxels):
         weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
         nuisance = np.concatenate([variation.joint(weights, regions), _there(voxels, weights, regions)])
         rows = _stacked([voxels.sums(each)[regions] for each in weights])
-        added = _added(voxels, weights, regions, [field[:, None] * voxels.seen for field in fields])
+        added, parts = (
+            _added(voxels, weights, regions, [field[:, None] * voxels.seen for field in each])
+            for each in (fields, windows)
+        )
         held = {
             name: (_added(voxels, weights, regions, a), _added(voxels, weights, regions, b))
             for name, (a, b) in named.items()
         }
-        found.append(Departure(Family(rows, nuisance, np.eye(len(rows))), added, np.maximum(times, 0.0), held))
+        family = Family(rows, nuisance, np.eye(len(rows)))
+        found.append(Departure(family, added, np.maximum(times, 0.0), parts, held))
     return found
 
 
-def _fields(voxels: Voxels) -> Iterator[Array]:
-    """Fields by family (F, N)."""
+def _fields(voxels: Voxels) -> Iterator[tuple[Array, Array]]:
+    """Fields by family (F, N), and windows along its axis (W, N)."""
     at = np.stack(np.nonzero(voxels.inside))
     u = (at - at.min(axis=1, keepdims=True) + 0.5) / (np.ptp(at, axis=1)[:, None] + 1.0)
     axes = [axis for axis in range(len(at)) if np.ptp(at[axis]) > 0]
     waves = np.cos(np.pi * np.arange(_ALONG + 1)[:, None, None] * u)
     for axis in axes:
         along = [(1.0 + i) ** -_FADING * waves[i, axis] for i in range(1, _ALONG + 1)]
-        yield np.stack([*along, _PLANES * (-1.0) ** at[axis]])
+        yield np.stack([*along, _PLANES * (-1.0) ** at[axis]]), np.stack([*_windows(u[axis])])
     for count, most in _ACROSS:
         for plane in combinations(axes, count):
             numbers = product(range(1, most + 1), repeat=count)
-            yield np.stack([(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers])
+            fields = [(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers]
+            yield np.stack(fields), np.zeros((0, u.shape[1]))
+
+
+def _windows(u: Array) -> Iterator[Array]:
+    """Windows along an axis, which end softly (N,)."""
+    for half in _WINDOWS:
+        for middle in np.arange(0.0, 1.0 + 0.25 * half, 0.5 * half):
+            yield 0.5 + 0.5 * np.cos(np.pi * np.minimum(np.abs(u - middle) / half, 1.0))
 
 
 def _largest(voxels: Voxels) -> NDArray[np.intp]:

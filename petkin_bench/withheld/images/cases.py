@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin_bench.withheld.cases import SPLITS
-from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images.causes import ALIKE, OTHER_FORMS, PLAIN, SPATIAL, UNKNOWN, Cause, Place
 from petkin_bench.withheld.images.columns import beyond, ceiling, class_of, unit_columns
 from petkin_bench.withheld.images.head import NAMES, VOXEL, draw_head
-from petkin_bench.withheld.images.making import Made, Scene, at_strength, made_of, possible
+from petkin_bench.withheld.images.making import Made, Scene, at_strength, made_of, place_in, possible
 from petkin_bench.withheld.images.taking import AS_ALWAYS, Scanned, taken
 from petkin_bench.withheld.noise import KINDS
 from petkin_bench.withheld.subject import Blood, Frames, Subject, draw_subject
@@ -157,18 +156,12 @@ def _answer(scene: Scene, kind: str, noise: str, made: Made | None) -> ImageAnsw
     )
 
 
-def _place(scene: Scene) -> Place:
-    drawn = draw(scene.rng, scene.scanned.subject)
-    drawn = replace(drawn, region=int(scene.rng.integers(len(NAMES))))
-    return Place(drawn, int(scene.rng.integers(3)), scene.scanned.head)
-
-
 def _single(scene: Scene, causes: tuple[Cause, ...], *, of_unknown: bool) -> Made:
     """A cause that reaches its strength within what is plausible; of an unknown one, beyond all known ones."""
     causes = tuple(c for c in causes if possible(c, scene))
     for _ in range(_TRIES):
         cause = causes[int(scene.rng.integers(len(causes)))]
-        place, target = _place(scene), _target(scene)
+        place, target = place_in(scene, scene.rng), _target(scene)
 
         def make(size: float, cause: Cause = cause, place: Place = place) -> Made:
             return made_of(scene, cause, place, size)
@@ -195,7 +188,7 @@ def _withheld_part(scene: Scene) -> Made:
     simulator = Simulator(which != 0, which != 1, which != 2)
     name = ("second_tissue", "blood_volume", "arterial_delay")[which]
     cause = Cause(name, ("tissue", "vascular", "input")[which], lambda size, place: AS_ALWAYS, 1.5, spatial=False)
-    place, late = _place(scene), float(scene.rng.choice([-1.0, 1.0]))
+    place, late = place_in(scene, scene.rng), float(scene.rng.choice([-1.0, 1.0]))
 
     def make(size: float) -> Made:
         subject = scene.scanned.subject

@@ -12,7 +12,7 @@ from petkin_bench.withheld import causes as regional
 from petkin_bench.withheld.classes import same_of_its_size
 from petkin_bench.withheld.images.causes import KNOWN, Cause, Place
 from petkin_bench.withheld.images.head import NAMES
-from petkin_bench.withheld.images.making import Made, possible
+from petkin_bench.withheld.images.making import Made, place_in, possible
 from petkin_bench.withheld.images.taking import retaken, taken
 from petkin_bench.withheld.making import Made as MadeCurves
 from petkin_bench.withheld.noise import law
@@ -46,6 +46,16 @@ def columns_of(
             left = made.filter.left(change)
             if np.linalg.norm(left) > 1e-6:
                 yield cause.name, left
+
+
+def drawn_columns(made: Made, causes: tuple[Cause, ...], count: int, rng: np.random.Generator) -> Iterator[Array]:
+    """What the refit leaves of causes at a weak size, so many draws of each."""
+    scanned = replace(made.scene.scanned, subject=made.fitted)
+    plain = taken(scanned, varied=False)
+    for cause in causes:
+        for _ in range(count):
+            shot = cause.build(WEAK * cause.most, place_in(made.scene, rng))
+            yield made.filter.left(retaken(scanned, shot, plain) - plain)
 
 
 def unit_columns(made: Made, causes: tuple[Cause, ...] = KNOWN) -> list[tuple[str, Array]]:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from petkin_bench.withheld.causes import draw
 from petkin_bench.withheld.images.causes import Cause, Place
+from petkin_bench.withheld.images.head import NAMES
 from petkin_bench.withheld.images.strength import Filter, matched
 from petkin_bench.withheld.images.taking import AS_ALWAYS, Grain, Scanned, Shot, grain, means, pieces, taken
 from petkin_bench.withheld.noise import law
@@ -123,6 +125,13 @@ def _refitted(scanned: Scanned, simulator: Simulator, plain: Array) -> list[Arra
         found.append(taken(replace(scanned, width=scanned.width + 0.3), varied=False) - plain)
         found.append(taken(replace(scanned, width=0.0), varied=False) - plain)
     return found
+
+
+def place_in(scene: Scene, rng: np.random.Generator) -> Place:
+    """What a cause draws besides its size."""
+    drawn = draw(rng, scene.scanned.subject)
+    drawn = replace(drawn, region=int(rng.integers(len(NAMES))))
+    return Place(drawn, int(rng.integers(3)), scene.scanned.head)
 
 
 def possible(cause: Cause, scene: Scene) -> bool:

@@ -110,6 +110,7 @@ def _unknown(alien: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
     sure = [c.number("leader_probability") > _SURE and c.cells["verdict"] in ("named", "ambiguous") for c in alien]
     return [
         _share("unknown: gap claimed", [c.claimed for c in alien]),
+        of_reader("images: unknown: one who knows its forms must find settings and claim", alien, "ideal_claimed"),
         _share("unknown: recall", [c.cells["verdict"] == "unknown" for c in alien], 0.8),
         Metric("images: unknown: AUROC", auroc(of_alien, of_named), len(alien), 0.9),
         _share("unknown: named with p > 0.9", sure, 0.05, "<="),

@@ -15,7 +15,7 @@ from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states
 from petkin.diagnosis.unknown import DRIVE, ONE, WITHIN, Elsewhere
-from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate
+from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate, Strength
 
 __all__ = [
     "ALIKE",
@@ -45,6 +45,7 @@ __all__ = [
     "Simulator",
     "State",
     "StateMap",
+    "Strength",
     "Term",
     "Visible",
     "Witness",

@@ -1,16 +1,19 @@
 """What several data sets have in common: causes that they share, in which of them, and how strong.
 
-Every member has a shared cause e with probability pi, at a strength of its own, or else what any data set may have:
+Every member has a shared cause e with probability pi, or else what any data set may have:
 
     log B(e) = log int prod_i [(1 - pi) b_i + pi e_i] d pi - sum_i log b_i
 
-with e_i the evidence of all explanations of member i that hold e, and b_i that of none or any of the catalogue.
-Strengths are drawn about a common mean, with a spread between members by DerSimonian and Laird. Who carries the cause
-is then asked at the strength that it has in the others, where a strength s with error d speaks for it by
+with e_i the evidence of all explanations of member i that hold e, and b_i that of none or any of the catalogue. Its
+strength is either any in each member, or about the same in all, as likely: normal about m with a spread of some share
+of it, both unknown. A member whose strength is s with error d then has, of what it had averaged over strengths of its
+own (B(t), see `evidence`),
 
-    N(s; mean, spread^2 + error^2 + d^2) / N(s; 0, d^2):
+    e_i exp(t^2 / 2) / B(t) N(s; m, spread^2 + d^2) / N(0; 0, d^2),    t = s / d
 
-a member that shows none of a cause that is strong elsewhere does not have it weakly.
+So what is too weak in each is told by all where their strengths agree, and a member that shows none of a cause that is
+strong elsewhere does not have it weakly. Where strengths differ between channels they have nothing in common. The mean
+strength that is said is that of DerSimonian and Laird.
 
 Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Clin Trials 1986;7:177-188.
 """
@@ -25,10 +28,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from petkin.diagnosis.diagnose import CLAIM
-from petkin.diagnosis.evidence import SECOND, two_sided
+from petkin.diagnosis.evidence import SECOND, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.sets import probabilities, smallest_set
-from petkin.diagnosis.verdict import Diagnosis, Estimate
+from petkin.diagnosis.verdict import Diagnosis, Estimate, Strength
 
 Array = NDArray[np.float64]
 
@@ -37,9 +40,10 @@ _PREVALENCES = np.linspace(0.15, 0.99, 43)
 _NO_GAP = 0.5
 _TAILS, _Z90 = (0.05, 0.95), 1.6448536269514722
 _LISTED, _NEGLIGIBLE = 8, 0.005
-#: Probability from which on a member's strength counts among the carriers', in rounds: sure ones first, so that weak
-#: ones cannot vouch for one another; the least spread between members, relative.
-_CARRY, _LEAST_SPREAD = (0.9, 0.5, 0.5), 0.3
+#: Probability from which on a member's strength counts among the carriers'.
+_CARRY = 0.5
+#: A strength in common: in units of the median error, and by how much of itself it differs between members.
+_COMMON, _SPREADS = np.geomspace(0.8, 80.0, 60), (0.2, 0.4)
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class Member:
     label: str
     p_value: float
     evidence: Mapping[str, float]
-    strengths: Mapping[str, Estimate]
+    strengths: Mapping[str, Strength]
     alike: Mapping[frozenset[str], float]
 
     @classmethod
@@ -170,20 +174,16 @@ def _judged(label: str, members: Sequence[Member], background: Array) -> SharedC
     """One cause with its evidence; its probability is not known yet."""
     names = tuple(label.split("+"))
     own = np.array([m.holding(names) for m in members])
-    plain = _mixture(own, background)
     strengths = [m.strengths.get(label) for m in members]
-    informed = plain
-    for least in _CARRY:
-        carrying = [s if share > least else None for s, share in zip(strengths, informed.carriers)]
-        informed = _mixture(own + _at_their_strength(strengths, carrying), background)
-    known = [s for s, share in zip(strengths, informed.carriers) if s is not None and share > _CARRY[-1]]
+    found = _mixture(own, _about_the_same(own, strengths), background)
+    known = [s for s, share in zip(strengths, found.carriers) if s is not None and share > _CARRY]
     pooled = _pooled(known)
     return SharedCause(
         names,
         0.0,
-        plain.log_evidence,
-        informed.prevalence,
-        informed.carriers,
+        found.log_evidence,
+        found.prevalence,
+        found.carriers,
         None if pooled is None else pooled.interval,
         None if pooled is None else pooled.between,
         known[0].unit if known else "",
@@ -199,33 +199,39 @@ class _Mixture:
     carriers: Array
 
 
-def _mixture(own: Array, background: Array) -> _Mixture:
-    mixed = np.logaddexp(np.log1p(-_PREVALENCES[:, None]) + background, np.log(_PREVALENCES[:, None]) + own)
-    by_prevalence = (mixed - background).sum(axis=1)
-    total = float(np.logaddexp.reduce(by_prevalence))
-    weight = np.exp(by_prevalence - total)
-    low, high = np.interp(_TAILS, np.cumsum(weight), _PREVALENCES)
-    carriers = weight @ np.exp(np.log(_PREVALENCES[:, None]) + own - mixed)
+def _mixture(own: Array, common: Array, background: Array) -> _Mixture:
+    """Of members' evidence with strengths of their own (N,), and with each of some they have in common (S, N)."""
+    every = np.concatenate([own[None], common])
+    share = np.full(len(every), np.log(0.5 / max(len(common), 1)))
+    share[0] = np.log(0.5 if len(common) else 1.0)
+    having = np.log(_PREVALENCES)[:, None] + every[:, None]
+    mixed = np.logaddexp(np.log1p(-_PREVALENCES)[:, None] + background, having)
+    logs = share[:, None] + (mixed - background).sum(axis=-1)
+    total = float(np.logaddexp.reduce(logs, axis=None))
+    weight = np.exp(logs - total)
+    by_prevalence = weight.sum(axis=0)
+    low, high = np.interp(_TAILS, np.cumsum(by_prevalence), _PREVALENCES)
     return _Mixture(
         total - float(np.log(_PREVALENCES.size)),
-        Interval(float(weight @ _PREVALENCES), float(low), float(high)),
-        carriers,
+        Interval(float(by_prevalence @ _PREVALENCES), float(low), float(high)),
+        np.einsum("sp,spn->n", weight, np.exp(having - mixed)),
     )
 
 
-def _at_their_strength(strengths: Sequence[Estimate | None], carrying: Sequence[Estimate | None]) -> Array:
-    """What every member's evidence gains where a cause has the strength of the other carriers, not just any."""
-    gains = np.zeros(len(strengths))
-    for i, mine in enumerate(strengths):
-        others = _pooled([s for j, s in enumerate(carrying) if j != i and s is not None])
-        if mine is None or others is None:
-            continue
-        error = _error(mine)
-        between = max(others.between, _LEAST_SPREAD * abs(others.mean))
-        wide = between**2 + others.error**2 + error**2
-        there = -0.5 * ((mine.value - others.mean) ** 2 / wide + np.log(wide / error**2))
-        gains[i] = there + 0.5 * (mine.value / error) ** 2 - float(two_sided(np.asarray(mine.value / error)))
-    return gains
+def _about_the_same(own: Array, strengths: Sequence[Strength | None]) -> Array:
+    """Members' evidence at each of the strengths and spreads that they may have in common (S, N); no rows where there
+    is no such strength."""
+    known = [s for s in strengths if s is not None and s.single]
+    if len(known) < len(strengths):
+        return np.zeros((0, own.size))
+    values, errors = np.array([s.value for s in known]), np.array([_error(s) for s in known])
+    signed, t = known[0].signed, values / errors
+    best = own + 0.5 * t**2 - (two_sided(t) if signed else one_sided(t))
+    mean = _COMMON * np.median(errors)
+    mean = np.concatenate([mean, -mean]) if signed else mean
+    each = mean[:, None, None]
+    wide = (np.array(_SPREADS)[:, None] * each) ** 2 + errors**2
+    return (best - 0.5 * (np.log(wide / errors**2) + (values - each) ** 2 / wide)).reshape(-1, own.size)
 
 
 @dataclass(frozen=True)
@@ -241,7 +247,7 @@ class _Pooled:
         return Interval(self.mean, self.mean - _Z90 * self.error, self.mean + _Z90 * self.error)
 
 
-def _pooled(strengths: Sequence[Estimate]) -> _Pooled | None:
+def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
     """None of fewer than two strengths, or of what has none."""
     if len(strengths) < 2 or strengths[0].unit == "flag":
         return None

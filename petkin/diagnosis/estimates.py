@@ -14,7 +14,7 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.scan import Scan, starts
-from petkin.diagnosis.verdict import Estimate
+from petkin.diagnosis.verdict import Estimate, Strength
 from petkin.diagnosis.where import Place, benjamini_hochberg
 from petkin.diagnosis.which import Candidate, columns_of, informed
 
@@ -46,21 +46,25 @@ def estimates(candidate: Candidate, simulator: Simulator, base: Fit) -> tuple[Es
     return tuple(found)
 
 
-def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator, base: Fit) -> dict[str, Estimate]:
+def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator, base: Fit) -> dict[str, Strength]:
     """Amplitude of every single effect: after its refit, or the linear one of its template that the scan likes best."""
     each = scan.each(base.residual)
-    return {
-        c.label: estimates(c, simulator, base)[0]
-        if c.fit is not None
-        else _from_scan(scan, base.residual, each, c.label)
-        for c in candidates
-        if len(c.names) == 1
-    }
+    found = {}
+    for candidate in (c for c in candidates if len(c.names) == 1):
+        if candidate.fit is not None:
+            term, one = candidate.terms[0], estimates(candidate, simulator, base)[0]
+        else:
+            term, one = _from_scan(scan, base.residual, each, candidate.label)
+        h = term.hypothesis
+        single = not h.flag and (h.alike or not h.by_channel)
+        found[candidate.label] = Strength(one.symbol, one.unit, one.value, one.low, one.high, h.signed, single)
+    return found
 
 
-def _from_scan(scan: Scan, residual: Array, each: Array, name: str) -> Estimate:
+def _from_scan(scan: Scan, residual: Array, each: Array, name: str) -> tuple[Term, Estimate]:
     errors = np.sqrt(np.diag(np.linalg.inv(scan.information(scan.best(each, name)))))
-    return _amplitude(starts(scan, residual, each, name)[0], errors)
+    term = starts(scan, residual, each, name)[0]
+    return term, _amplitude(term, errors)
 
 
 def _amplitude(term: Term, errors: Array) -> Estimate:

@@ -23,6 +23,19 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Strength(Estimate):
+    """The amplitude of an effect.
+
+    Args:
+        signed: whether it may be negative.
+        single: whether there is one, or about the same in all channels; not of what is only there or not.
+    """
+
+    signed: bool
+    single: bool
+
+
+@dataclass(frozen=True)
 class Cause:
     """One explanation.
 
@@ -91,7 +104,7 @@ class Diagnosis:
     onset: float | None
     frame: int | None
     evidence: dict[str, tuple[str, float]]
-    strengths: dict[str, Estimate]
+    strengths: dict[str, Strength]
     unknown_evidence: float
     unknown_place: str
     visible: tuple[Visible, ...]

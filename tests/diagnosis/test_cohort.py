@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from petkin.diagnosis import Cohort, Member, Term, diagnose, in_common
+from petkin.diagnosis import Cohort, Member, Strength, Term, diagnose, in_common
+from petkin.diagnosis.evidence import two_sided
 
 from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
 
@@ -76,3 +77,47 @@ def test_causes_of_their_own_are_not_shared() -> None:
     assert cohort.present
     assert cohort.unshared > 0.1
     assert all(c.prevalence.value < 0.5 for c in cohort.causes)
+
+
+def member(label: str, evidence: float, strength: float, *, single: bool = True) -> Member:
+    """A data set whose offset has this evidence and strength, with an error of 1, beside an effect that it lacks."""
+    width = 1.6448536269514722
+    found = Strength("amplitude", "1", strength, strength - width, strength + width, signed=True, single=single)
+    return Member(label, 0.05, {"offset": evidence, "ripple": -3.0}, {"offset": found}, {})
+
+
+def told(*strengths: float, single: bool = True) -> float:
+    """Log evidence that all share the offset, each as sure of it as its strength is of its sign."""
+    each = [member(f"m{i}", float(two_sided(np.array(s))), s, single=single) for i, s in enumerate(strengths)]
+    return next((c.log_evidence for c in in_common(each).causes if c.label == "offset"), 0.0)
+
+
+def test_strengths_that_agree_speak_for_a_cause_that_is_shared() -> None:
+    """As strong and as sure in each; of one sign or of both."""
+    alike, mixed = told(2.5, 2.4, 2.6, 2.5), told(2.5, -2.4, 2.6, -2.5)
+    apart = told(2.5, 2.4, 2.6, 2.5, single=False)
+    assert apart == pytest.approx(told(2.5, -2.4, 2.6, -2.5, single=False), abs=1e-9)
+    assert alike > apart + 1.0
+    assert apart - np.log(2.0) - 1e-9 <= mixed < apart
+
+
+def test_evidence_is_the_integral_over_prevalence_strength_and_spread() -> None:
+    """Against sums over a finer grid of strengths, of data whose likelihood is normal."""
+    strengths = np.array([3.0, 2.0, 3.5])
+    own = two_sided(strengths)
+    members = [member(f"m{i}", float(e), float(s)) for i, (e, s) in enumerate(zip(own, strengths, strict=True))]
+    background = np.array([m.background for m in members])
+    prevalences, means = np.linspace(0.15, 0.99, 43), np.geomspace(0.8, 80.0, 2000)
+    logs = []
+    for mean in np.concatenate([means, -means]):
+        for spread in (0.2, 0.4):
+            wide = (spread * mean) ** 2 + 1.0
+            logs.append(0.5 * strengths**2 - 0.5 * np.log(wide) - 0.5 * (strengths - mean) ** 2 / wide)
+    common = _mixed(np.array(logs), background, prevalences)
+    expected = np.logaddexp(common, _mixed(own[None], background, prevalences)) - np.log(2.0)
+    assert told(*strengths) == pytest.approx(expected, abs=0.03)
+
+
+def _mixed(own: np.ndarray, background: np.ndarray, prevalences: np.ndarray) -> float:
+    each = [np.log((1 - p) * np.exp(background) + p * np.exp(own)).sum(axis=1) for p in prevalences]
+    return float(np.log(np.exp(np.array(each) - background.sum()).mean()))

@@ -26,9 +26,9 @@ from petkin.diagnosis import (
     Cause,
     Detected,
     Diagnosis,
-    Estimate,
     Fit,
     Hypothesis,
+    Strength,
     base_fit,
     detect,
     diagnose,
@@ -190,7 +190,7 @@ def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:
     if scatter is None:
         return found
     name, stage = NOISE_VARIANCE.name, NOISE_VARIANCE.stage
-    size = _estimate(scatter)
+    size = _strength(scatter)
     found = replace(
         found,
         evidence=found.evidence | {name: (stage, scatter.log_evidence)},
@@ -220,10 +220,10 @@ def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:
     return replace(found, p_value=p, causes=likely, likely=likely, alike=alike, chosen=chosen)
 
 
-def _estimate(scatter: Scatter) -> Estimate:
+def _strength(scatter: Scatter) -> Strength:
     low, high = (scatter.flatness + sign * _Z90 * scatter.error for sign in (-1.0, 1.0))
     value, low, high = (float(np.clip(f, 0.0, 1.0)) for f in (scatter.flatness, low, high))
-    return Estimate("amplitude", "1", value, low, high)
+    return Strength("amplitude", "1", value, low, high, signed=False, single=False)
 
 
 def _with(label: str) -> str:

@@ -13,7 +13,7 @@ that they share no noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -61,7 +61,7 @@ def departures(
         nuisance = np.concatenate([variation.joint(weights, regions), _there(voxels, weights, regions)])
         rows = _stacked([voxels.sums(each)[regions] for each in weights])
         added, parts = (
-            _added(voxels, weights, regions, [field[:, None] * voxels.seen for field in each])
+            _added(voxels, weights, regions, (field[:, None] * voxels.seen for field in each))
             for each in (fields, windows)
         )
         held = {
@@ -73,20 +73,20 @@ def departures(
     return found
 
 
-def _fields(voxels: Voxels) -> Iterator[tuple[Array, Array]]:
-    """Fields by family (F, N), and windows along its axis (W, N)."""
+def _fields(voxels: Voxels) -> Iterator[tuple[Array, Iterable[Array]]]:
+    """Fields by family (F, N), and windows along its axis, each (N,)."""
     at = np.stack(np.nonzero(voxels.inside))
     u = (at - at.min(axis=1, keepdims=True) + 0.5) / (np.ptp(at, axis=1)[:, None] + 1.0)
     axes = [axis for axis in range(len(at)) if np.ptp(at[axis]) > 0]
     waves = np.cos(np.pi * np.arange(_ALONG + 1)[:, None, None] * u)
     for axis in axes:
         along = [(1.0 + i) ** -_FADING * waves[i, axis] for i in range(1, _ALONG + 1)]
-        yield np.stack([*along, _PLANES * (-1.0) ** at[axis]]), np.stack([*_windows(u[axis])])
+        yield np.stack([*along, _PLANES * (-1.0) ** at[axis]]), _windows(u[axis])
     for count, most in _ACROSS:
         for plane in combinations(axes, count):
             numbers = product(range(1, most + 1), repeat=count)
             fields = [(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers]
-            yield np.stack(fields), np.zeros((0, u.shape[1]))
+            yield np.stack(fields), ()
 
 
 def _windows(u: Array) -> Iterator[Array]:
@@ -101,10 +101,15 @@ def _largest(voxels: Voxels) -> NDArray[np.intp]:
     return np.sort(np.argsort(-np.bincount(voxels.place), kind="stable")[:_REGIONS])
 
 
-def _added(voxels: Voxels, weights: Array, regions: NDArray[np.intp], maps: Sequence[Array]) -> Array:
+def _added(voxels: Voxels, weights: Array, regions: NDArray[np.intp], maps: Iterable[Array]) -> Array:
     """What maps (N, M) add to the contrasts of some regions (maps, F R, K)."""
-    courses = voxels.picture.courses
-    rows = [_stacked([voxels.framed(w, each, courses)[regions] for w in weights]) for each in maps]
+    courses, spread = voxels.picture.courses, voxels.spread[regions]
+    places = [np.flatnonzero(voxels.place == r) for r in regions]
+    own = [weights[:, place] for place in places]
+    rows = []
+    for each in maps:
+        held = np.stack([seen @ each[place] for seen, place in zip(own, places)], axis=1)
+        rows.append((held @ courses / spread).reshape(-1, courses.shape[1]))
     return np.stack(rows) if rows else np.zeros((0, len(weights) * len(regions), courses.shape[1]))
 
 

@@ -20,7 +20,7 @@ from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.refit import Fit, begun, refit
 from petkin.diagnosis.scan import Scan, Template, starts, templates
-from petkin.diagnosis.sets import LAPSE, confusability, probabilities, smallest_set
+from petkin.diagnosis.sets import LAPSE, LAPSE_WITHIN, confusability, probabilities, smallest_set
 from petkin.diagnosis.unknown import Elsewhere, Smooth, beside, driven
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import over
@@ -223,10 +223,11 @@ def _verdict(
     noise, base, ranked, projection = explained.noise, explained.base, explained.ranked, explained.projection
     present, drawn = detected.present, detected.drawn
     unnamed, place = float(explained.scan.unknown(base.residual)), explained.scan.unnamed(base.residual)
+    lapse = LAPSE
     if elsewhere is not None:
-        unnamed, place = elsewhere.joined(unnamed), elsewhere.place(unnamed, place)
+        unnamed, place, lapse = elsewhere.joined(unnamed), elsewhere.place(unnamed, place), LAPSE_WITHIN
     named = beside(simulator.times, noise, ranked, elsewhere)
-    probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=LAPSE)
+    probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=lapse)
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
     listed = sorted(listed, key=lambda c: -probability[c.label])
     listed = [c if c.fit is not None else _with_fit(simulator, data, explained, c) for c in listed]

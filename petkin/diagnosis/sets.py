@@ -14,10 +14,11 @@ Array = NDArray[np.float64]
 #: Mass that a set must hold, and the cosine above which two explanations are one.
 _MASS, ALIKE = 0.9, 0.95
 #: Log odds of a gap of no name per unit of its log evidence against all names, and that evidence at even odds; how
-#: often no explanation that was looked at is right, however likely it seems. The first two were chosen by how many
-#: unnamed and named training causes are then called unknown, and by how often sets hold what they say.
+#: often no explanation that was looked at is right, however likely it seems, and where what channels are means of was
+#: looked at too. The first two were chosen by how many unnamed and named training causes are then called unknown, all
+#: by how often sets hold what they say.
 _STEEPNESS, _EVEN = 0.7, -2.5
-LAPSE = 0.05
+LAPSE, LAPSE_WITHIN = 0.05, 0.03
 
 
 def probabilities(

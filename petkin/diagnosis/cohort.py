@@ -80,10 +80,11 @@ class Member:
 
     @property
     def background(self) -> float:
-        """Log evidence of no effect or any single one."""
-        singles = np.array([value for label, value in self.evidence.items() if "+" not in label])
-        any_single = np.log(1 - _NO_GAP) + float(np.logaddexp.reduce(singles)) - np.log(singles.size)
-        return float(np.logaddexp(np.log(_NO_GAP), any_single))
+        """Log evidence of no effect, or any one, alone or with any second, as `holding` has it of the likeliest."""
+        singles = sum("+" not in label for label in self.evidence)
+        explained = np.array([value + np.log(1 + label.count("+")) for label, value in self.evidence.items()])
+        any_cause = np.log(1 - _NO_GAP) + float(np.logaddexp.reduce(explained)) - np.log(singles)
+        return float(np.logaddexp(np.log(_NO_GAP), any_cause))
 
 
 @dataclass(frozen=True)

@@ -121,3 +121,11 @@ def test_evidence_is_the_integral_over_prevalence_strength_and_spread() -> None:
 def _mixed(own: np.ndarray, background: np.ndarray, prevalences: np.ndarray) -> float:
     each = [np.log((1 - p) * np.exp(background) + p * np.exp(own)).sum(axis=1) for p in prevalences]
     return float(np.log(np.exp(np.array(each) - background.sum()).mean()))
+
+
+def test_a_pair_that_one_member_has_is_not_what_all_share() -> None:
+    """However far it is ahead there: what any data set may have holds pairs too."""
+    usual = [member(f"m{i}", 6.0, 3.0) for i in range(5)]
+    odd = Member("odd", 0.01, {"offset": 20.0, "ripple": 10.0, "ripple+tilt": 300.0}, {}, {})
+    assert in_common([*usual, odd]).chosen == ("offset",)
+    assert in_common([*usual, odd]).causes[0].carriers[-1] < 0.1

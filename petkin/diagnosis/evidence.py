@@ -81,7 +81,7 @@ class Spread:
     def of(cls, information: Array) -> Spread:
         """From G'PG (..., n, n)."""
         size, axes = np.linalg.eigh(information)
-        size = np.maximum(size, 1e-12 * np.maximum(size.max(axis=-1, keepdims=True), 1e-300))
+        size = np.maximum(size, np.maximum(1e-12 * size.max(axis=-1, keepdims=True), 1e-300))
         total = np.maximum(information.sum(axis=(-2, -1)), 1e-300)
         inverse = (axes / size[..., None, :]) @ axes.swapaxes(-1, -2)
         standard = inverse / np.sqrt(np.diagonal(inverse, axis1=-2, axis2=-1))[..., None, :]

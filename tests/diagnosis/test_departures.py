@@ -79,6 +79,15 @@ def test_a_gap_in_a_part_is_seen_where_no_place_alone_shows_it() -> None:
     assert judged(replace(null, parts=parts), rng)[0] < 1.0
 
 
+def test_a_part_that_nothing_shows_has_no_evidence() -> None:
+    rng = np.random.default_rng(14)
+    each = departure(swelling(2), rng)
+    found, null = judged(replace(each, parts=0.0 * ADDED[:1]), np.random.default_rng(13))
+    without, _ = judged(each, np.random.default_rng(13))
+    assert np.isfinite(null).all()
+    assert without - np.log(2.0) < found <= without + 1e-9
+
+
 def test_noise_has_no_evidence_of_what_is_as_visible_any_way() -> None:
     """A likelihood ratio of 20 in less than a twentieth of draws; here in a hundredth."""
     rng = np.random.default_rng(7)

@@ -36,6 +36,8 @@ _REGIONS = 20
 #: Directions with less of the noise than this share of the largest are left out; sizes below this share of the mean
 #: one are not believed.
 _LEAST, _FLOOR = 1e-2, 0.3
+#: A window that contrasts show less of than this share of the field they show most of (squares) is not looked for.
+_HARDLY = 1e-6
 
 
 #: Maps that a named effect adds to the voxels by its amplitude, and by its square, each (N, M).
@@ -64,6 +66,8 @@ def departures(
             _added(voxels, weights, regions, (field[:, None] * voxels.seen for field in each))
             for each in (fields, windows)
         )
+        shown, most = ((rows**2).sum(axis=(1, 2)) for rows in (parts, added))
+        parts = parts[shown > _HARDLY * most.max()]
         held = {
             name: (_added(voxels, weights, regions, a), _added(voxels, weights, regions, b))
             for name, (a, b) in named.items()

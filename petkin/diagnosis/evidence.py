@@ -14,9 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
+
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -139,7 +140,7 @@ def _of_sign(t: Array, signed: NDArray[np.bool_] | bool) -> Array:
     return np.where(signed, two_sided(t), one_sided(t))
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _averaged(t, occam):
     """log B(t), what remains of exp(t^2 / 2) read between the even steps of its table."""
     place = (t - _T[0]) / _STEP
@@ -147,7 +148,7 @@ def _averaged(t, occam):
     return 0.5 * t * t + occam[i] + min(max(place - i, 0.0), 1.0) * (occam[i + 1] - occam[i])
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _one_sided(t, occam):
     found = np.empty_like(t)
     for i in range(t.size):
@@ -155,7 +156,7 @@ def _one_sided(t, occam):
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _two_sided(below, above, occam):
     found = np.empty_like(below)
     for i in range(below.size):
@@ -165,7 +166,7 @@ def _two_sided(below, above, occam):
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _about(score, size, axes):
     """log B of every draw and every effect (draws, effects), averaged over how large the amplitudes are about."""
     draws, effects, count = score.shape
@@ -198,7 +199,7 @@ def _about(score, size, axes):
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _together(score, size, axes):
     """log B of every draw and every effect (draws, effects), averaged over the widths."""
     draws, effects, count = score.shape

@@ -16,9 +16,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
 from petkin.dynamics.arrays import library
+from petkin.jit import njit
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -53,7 +53,7 @@ def exp_divided_difference(points: tuple[Tensor | Any, ...], t: Tensor | Any) ->
     return divided_differences(rows, times).reshape(shape)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def divided_differences(points, t):
     """exp[points[n]](t[n]) for every row of points (N, m), float64."""
     count, m = points.shape
@@ -71,7 +71,7 @@ def divided_differences(points, t):
     return answer
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _one(p, t, table, offsets, rows):
     m = len(p)
     if (p[m - 1] - p[0]) * t < SERIES_SPREAD:
@@ -88,7 +88,7 @@ def _one(p, t, table, offsets, rows):
     return table[0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _series_of(p, first, m, t, offsets, rows):
     """As `_series` over p[first : first + m], ended where further terms no longer count."""
     centre = 0.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
 from petkin.dynamics.arrays import library
+from petkin.jit import njit
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -31,7 +31,7 @@ def linear_recurrence(factors: Float[Tensor, "*b n"] | Any, values: Float[Tensor
     return walk(*(np.ascontiguousarray(x.reshape(rows, n)) for x in (factors, values))).reshape(*batch, n + 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def walk(factors, values):
     """The states (rows, n + 1) of factors and values (rows, n)."""
     rows, n = values.shape

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.dynamics import Forcing
 from petkin.imaging import FrameObservation
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def _part_after(times: Array, onset: float) -> Array:
     return (times >= onset - 1e-9).astype(float)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _difference(times, u, rates, flow, release, saturation, rise, started):
     curves = np.zeros((rates.shape[0], times.size))
     for c in range(rates.shape[0]):
@@ -125,7 +125,7 @@ def _framed(times: Array, curves: Array, clock: FrameObservation) -> Array:
     return _integrals(times, curves, np.exp(-clock.decay * times), start, end) / clock.divisor
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _integrals(times, curves, weight, start, end):
     found, area = np.empty((curves.shape[0], start.size)), np.zeros(times.size)
     for c in range(curves.shape[0]):

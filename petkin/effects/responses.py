@@ -16,13 +16,13 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from petkin.dynamics import Forcing, Shifted
 from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -184,7 +184,7 @@ def _march(forcing: Forcing, delay: float, decay: float, nodes: bytes) -> _March
     return _March(*_marched(forcing, decay, nodes), delay, decay)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _step(a, d):
     """What a step of length d keeps of y, and what it adds per first and last value of a straight input:
 
@@ -198,7 +198,7 @@ def _step(a, d):
     return 1.0 - gone, d * (gone / x - ramp), d * ramp
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _weigh(times, rates):
     """The steps between nodes for every rate (steps, rates, 3)."""
     found = np.empty((times.size - 1, rates.size, 3))
@@ -213,7 +213,7 @@ def _steps(decay: float, nodes: bytes) -> Array:
     return _weigh(np.frombuffer(nodes), _RATES + decay)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _walk(times, u, weights):
     """y (nodes, rates) and U at the nodes."""
     steps, count = weights.shape[:2]
@@ -225,7 +225,7 @@ def _walk(times, u, weights):
     return y, area
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _reach(times, u, y, area, rates, t, found):
     """y of every rate and, last, U at a time; zero before the first node, the input held after the last."""
     found[:] = 0.0
@@ -241,7 +241,7 @@ def _reach(times, u, y, area, rates, t, found):
     found[-1] = area[i] + 0.5 * d * (u[i] + here)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _at(times, u, y, area, rates, wanted):
     """The same at many times (times, rates + 1)."""
     found = np.empty((wanted.size, rates.size + 1))
@@ -250,7 +250,7 @@ def _at(times, u, y, area, rates, wanted):
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _counted(times, u, y, area, rates, start, end):
     """Integrals over frames of the response to every rate, (dU - dy) / a, and, last, of u (rates + 1, frames)."""
     found = np.empty((rates.size + 1, start.size))
@@ -268,7 +268,7 @@ def _counted(times, u, y, area, rates, start, end):
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _weights(x, knots, spline):
     """Weights of the table's rows at every x, as the spline through them has it."""
     found = np.empty((x.size, knots.size))

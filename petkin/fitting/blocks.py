@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from petkin.jit import njit
 
 #: Curves in step. A block of a few rows stays in the first-level cache. Loops run over whole blocks, never over a
 #: remainder that might round another way: a curve's result does not depend on its neighbours, to the bit.
@@ -24,7 +25,7 @@ def even_rows(matrix: NDArray[Number]) -> NDArray[Number]:
     return np.concatenate([matrix, more]) if len(more) else np.ascontiguousarray(matrix)
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@njit(fastmath={"contract", "nsz"})
 def multiply(matrix, block, out):
     """matrix @ block: rows of BLOCK numbers one after another in flat arrays, an even number of them in the matrix.
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import lanes
@@ -35,6 +34,7 @@ from petkin.fitting.lanes import LANES
 from petkin.fitting.normal import PARAMETERS
 from petkin.fitting.table import Compression
 from petkin.fitting.tape import run
+from petkin.jit import njit
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def polish_in_box(
     return theta.T, cost, converged
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _fit_all(tables, tape, ends, interval, z, sizes, start, tolerance, theta, cost, converged, scratch):
     rows, gram, own, axis, low, spacing = tables
     steps, outputs, exponentials = tape
@@ -143,7 +143,7 @@ def _fit_all(tables, tape, ends, interval, z, sizes, start, tolerance, theta, co
                     w[row * LANES + n] = w[row * LANES + used]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _enter(w, n, v, parameters, z, sizes, start):
     """Begin a fit in lane n: the first trial counts as a gain."""
     for row in range(THETA, ROWS):
@@ -155,7 +155,7 @@ def _enter(w, n, v, parameters, z, sizes, start):
     w[SIZE * LANES + n] = sizes[v]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _gather_curves(w, used, curve, z, rows, position, cells):
     """Four rows of the table on every lane's curve, for both exponentials, and its component on the axis."""
     for n in range(used):

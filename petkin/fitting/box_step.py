@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from petkin.fitting import lanes
 from petkin.fitting.lanes import LANES
 from petkin.fitting.normal import ALL_ROWS, COLUMN, X0, X1, X2, apply, column, dot, sweep
+from petkin.jit import njit
 
 # Rows after those of `normal`: five parameters, the next trial, gradient and normal matrix (lower triangle by columns)
 # at the parameters, and the state of a fit.
@@ -20,7 +20,7 @@ MOST_STEPS = 200
 _STRICT = {"contract", "nsz"}
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _beyond(w, m, n, slow, fast):
     """How far a rate lies outside its interval, in its own units; 0 where no parameter moves it."""
     rate = w[(RATE_1 + m) * LANES + n]
@@ -31,7 +31,7 @@ def _beyond(w, m, n, slow, fast):
     return (below + above if moves else 0.0), (1.0 / max(slow, 1e-6) if below < 0.0 else 1.0 / fast)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def evaluate(w, axis, slow, fast, penalty):
     """Cost, gradient and normal matrix at every lane's trial; where they beat the state they become it."""
     for n in range(LANES):
@@ -101,20 +101,20 @@ def evaluate(w, axis, slow, fast, penalty):
         _keep_theta(w, n, better)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _moved(w, q, n):
     """How a parameter moves both rates."""
     k = (COLUMN + 5 * q + 2) * LANES + n
     return w[k], w[k + 2 * LANES]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _keep(w, n, better, entry, value):
     k = (_NORMAL + entry) * LANES + n
     w[k] = value if better else w[k]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _keep5(w, n, better, g0, g1, g2, g3, g4):
     k = _GRADIENT * LANES + n
     w[k] = g0 if better else w[k]
@@ -124,7 +124,7 @@ def _keep5(w, n, better, g0, g1, g2, g3, g4):
     w[k + 4 * LANES] = g4 if better else w[k + 4 * LANES]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _keep_theta(w, n, better):
     k, t = THETA * LANES + n, TRIAL * LANES + n
     w[k] = w[t] if better else w[k]
@@ -134,7 +134,7 @@ def _keep_theta(w, n, better):
     w[k + 4 * LANES] = w[t + 4 * LANES] if better else w[k + 4 * LANES]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _free(w, n, q, diagonal, ends):
     """1 / sqrt of a parameter's own curvature, 0 where it is held: on a bound that the gradient pushes it against."""
     value, gradient = w[(THETA + q) * LANES + n], w[(_GRADIENT + q) * LANES + n]
@@ -143,7 +143,7 @@ def _free(w, n, q, diagonal, ends):
     return 1.0 / np.sqrt(diagonal) if free else 0.0
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _stepped(w, n, q, step, ends):
     """The trial of a parameter, inside the box, and the step that it makes."""
     value = w[(THETA + q) * LANES + n]
@@ -152,7 +152,7 @@ def _stepped(w, n, q, step, ends):
     return trial - value
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def propose(w, ends, tolerance):
     """The next trial of every lane, and which lanes are done."""
     for n in range(LANES):

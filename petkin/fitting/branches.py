@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from petkin.fitting.cones import nearest
+from petkin.jit import njit
 
 #: Columns of a branch: bound, fast interval, slow interval (positions between nodes), where it is best split
 #: (-1 for nowhere), and which of the two.
@@ -17,7 +17,7 @@ _NARROWEST = 1e-3
 SPARE = 8
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def branch_and_bound(
     columns,
     outside,
@@ -67,14 +67,14 @@ def branch_and_bound(
         looked[n] = seen
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _branch(branches, b, low_1, high_1, low_2, high_2):
     branches[b, _BOUND] = 0.0
     branches[b, _LOW_1], branches[b, _HIGH_1] = low_1, high_1
     branches[b, _LOW_2], branches[b, _HIGH_2] = low_2, high_2
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _split(branches, b, count, pair):
     """Halve one of a branch's intervals: one half takes its place, others come after the `count` that there are."""
     low_1, high_1, low_2, high_2 = branches[b, _LOW_1], branches[b, _HIGH_1], branches[b, _LOW_2], branches[b, _HIGH_2]
@@ -93,7 +93,7 @@ def _split(branches, b, count, pair):
     return count + 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _bound(branches, b, z, rows, atoms, raised, blood, pair, trapped, chosen, work):
     """Bound of a branch, and where it is best split: at the middle of what its cone uses, -1 for nowhere."""
     low_1, high_1, low_2, high_2 = branches[b, _LOW_1], branches[b, _HIGH_1], branches[b, _LOW_2], branches[b, _HIGH_2]
@@ -115,7 +115,7 @@ def _bound(branches, b, z, rows, atoms, raised, blood, pair, trapped, chosen, wo
     branches[b, _CUT] = _cut(middle_1, low_1, high_1) if spread_1 >= spread_2 else _cut(middle_2, low_2, high_2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _take(low, high, rows, atoms, spare, chosen, count):
     """Control points of an interval: those of the table between nodes, four of its own inside one of the table's."""
     if low == np.floor(low) and high == np.floor(high):
@@ -130,7 +130,7 @@ def _take(low, high, rows, atoms, spare, chosen, count):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _end(rows, node, s, reach, atoms, at, beside):
     """b at a place inside an interval, and the control point beside it, at unit length."""
     a0, a1 = (1.0 + 2.0 * s) * (1.0 - s) ** 2, s * (1.0 - s) ** 2
@@ -150,7 +150,7 @@ def _end(rows, node, s, reach, atoms, at, beside):
         atoms[beside, r] *= two
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _spread(work, used, low, high, spare, own):
     """Middle of the atoms in use inside an interval and how far apart they lie, both by amount."""
     total = first = second = 0.0
@@ -170,7 +170,7 @@ def _spread(work, used, low, high, spare, own):
     return first / total, max(second - first * first / total, 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _cut(middle, low, high):
     """Where an interval is split: at a node as long as there is one inside, then in the middle; -1 for nowhere."""
     if high - low > 1.0:

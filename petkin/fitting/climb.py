@@ -8,11 +8,11 @@ so a step costs a few dozen operations, whatever the length of a curve. Position
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from petkin.fitting.blocks import BLOCK
 from petkin.fitting.lanes import MAX_STEPS
 from petkin.fitting.off_atoms import NUMBERS
+from petkin.jit import njit
 
 # Scratch is one flat array of rows of BLOCK numbers, so that the compiler sees that rows do not overlap. By slot, which
 # only curves that still climb have: position, cell, coefficients of h and g there, steps, whether it is at the top.
@@ -33,7 +33,7 @@ DONE = -1.0
 _SMALL = 1e-4
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def climb(support, cubics, numbers, here, size, first, last, signed, slots, w):
     """Every curve that wants this support to the top nearest to its start; false where none does.
 
@@ -72,7 +72,7 @@ def climb(support, cubics, numbers, here, size, first, last, signed, slots, w):
     return True
 
 
-@njit(cache=True, fastmath={"reassoc", "contract", "nsz"}, error_model="numpy")
+@njit(fastmath={"reassoc", "contract", "nsz"})
 def _see(cubics, numbers, here, slots, used, w):
     """The polynomials of every climbing curve in the cell where it stands."""
     cells = len(numbers) // NUMBERS
@@ -97,7 +97,7 @@ def _see(cubics, numbers, here, slots, used, w):
             w[i + power * _B] = numbers[m + power]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _newton(s, low, high, h, g):
     """The next s: to where c' vanishes if c bends down there, else a node uphill."""
     h0, h1, h2, h3 = h
@@ -118,7 +118,7 @@ def _newton(s, low, high, h, g):
     return min(max(s + move, low), high)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _step(registers, first, last, signed, w):
     """Three steps on the polynomials of a cell, which reach a little beyond it; done if they end inside, and small."""
     for k in range(registers * _REGISTER):
@@ -151,7 +151,7 @@ def _step(registers, first, last, signed, w):
         w[_THERE * BLOCK + k] = 1.0 if there else 0.0
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _arrive(numbers, k, n, w):
     """What a curve has at its top, from its slot to its own place."""
     cell, i, j = np.uint64(w[_CELL * BLOCK + k]), _H * BLOCK + k, _G * BLOCK + k
@@ -168,7 +168,7 @@ def _arrive(numbers, k, n, w):
         m += np.uint64(4)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def project_shared(axes, here, w):
     """Components of every curve along the shared axes (2, R)."""
     for d in range(2):
@@ -181,7 +181,7 @@ def project_shared(axes, here, w):
                     w[(SHARED + d) * BLOCK + n] += along * here[r * BLOCK + n]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def settle(mix, support, without, signed, w):
     """Amplitudes with this support: kept where they are allowed and explain more, else the column to leave out next.
 

@@ -14,8 +14,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -47,14 +48,14 @@ class Room(NamedTuple):
     residual: Array
 
 
-@njit(cache=True)
+@njit()
 def room(directions):
     """For curves of so many directions."""
     square = np.zeros((MOST, MOST))
     return Room(np.zeros(MOST, np.int64), np.zeros(MOST), np.zeros(MOST), square, np.zeros(MOST), np.zeros(directions))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def nearest(z, atoms, chosen, count, raised, work):
     """Proven lower bound of the squared distance from z to the cone of some atoms, and how many are in use.
 
@@ -89,7 +90,7 @@ def nearest(z, atoms, chosen, count, raised, work):
     return max(bound, 0.0), n
 
 
-@njit(cache=True, fastmath={"reassoc", "contract", "nsz"}, error_model="numpy")
+@njit(fastmath={"reassoc", "contract", "nsz"})
 def _steepest(atoms, chosen, count, residual):
     """The most that a residual points along an atom, and that atom."""
     steepest, best = -np.inf, -1
@@ -102,7 +103,7 @@ def _steepest(atoms, chosen, count, residual):
     return steepest, best
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _add(z, atoms, new, n, work):
     """Take an atom into use as the last; False where it cannot be told from those that are."""
     used, amount = work.used, work.amount
@@ -113,7 +114,7 @@ def _add(z, atoms, new, n, work):
     return _factorise(z, atoms, n, n + 1, work)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _factorise(z, atoms, first, n, work):
     """Rows first .. n of the Cholesky factor; False where an atom depends on those before it."""
     used, factor, seen = work.used, work.factor, work.seen
@@ -137,7 +138,7 @@ def _factorise(z, atoms, first, n, work):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _balance(z, atoms, n, work):
     """Best amounts of the atoms in use, dropping those that would turn negative; how many are left."""
     used, amount, trial = work.used, work.amount, work.trial
@@ -161,7 +162,7 @@ def _balance(z, atoms, n, work):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _solve(factor, seen, trial, n):
     for i in range(n):
         total = seen[i]

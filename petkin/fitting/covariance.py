@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import normal_one
@@ -30,6 +29,7 @@ from petkin.fitting.normal import (
 from petkin.fitting.normal_one import gather_one, invert_one
 from petkin.fitting.table import Compression, InnerProducts
 from petkin.fitting.tape import run
+from petkin.jit import njit
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ def percent_errors(
     return reached
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
     rows, gram, own, axis, low, spacing = tables
     steps, outputs, exponentials, macros = tape
@@ -175,7 +175,7 @@ def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
             _copy(w[_ERROR * LANES :], percent[parameters + m], start, count)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _enter(memory, values, chi2, parameters, start, count, w):
     """Parameters of a block of curves and what their variances are scaled by; ones in lanes without a curve."""
     for q in range(parameters):
@@ -188,13 +188,13 @@ def _enter(memory, values, chi2, parameters, start, count, w):
         w[_CHI2 * LANES + n] = chi2[start + n] if n < count else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _copy(numbers, out, start, count):
     for n in range(count):
         out[start + n] = numbers[n]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _touch(w, ends):
     """Which parameters are free and off their bounds, and which bounds every curve touches, in powers of two."""
     lowest, highest, free, slowest, fastest, bit = ends
@@ -209,7 +209,7 @@ def _touch(w, ends):
         w[_REACHED * LANES + n] = reached + (bit if slow else 0.0) + (2.0 * bit if fast else 0.0)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(forceinline=True)
 def _end(w, n, q, lowest, highest, free):
     """Which end a parameter is on (1, 2 or 0), and whether it is free to move."""
     value = w[(VALUE + q) * LANES + n]
@@ -218,7 +218,7 @@ def _end(w, n, q, lowest, highest, free):
     return (1.0 if below else 0.0) + (2.0 if above else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _parameter_errors(w, parameters, ends):
     """Percent standard errors of the parameters."""
     free = ends[2]
@@ -234,7 +234,7 @@ def _parameter_errors(w, parameters, ends):
             _parameter_error(w, n, 4, INVERSE + 14, scale, free)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(forceinline=True)
 def _parameter_error(w, n, q, entry, scale, may):
     value, free = abs(w[(VALUE + q) * LANES + n]), w[(FREE + q) * LANES + n] > 0.0
     error = 100.0 * np.sqrt(max(w[entry * LANES + n] * scale, 0.0)) / value
@@ -242,7 +242,7 @@ def _parameter_error(w, n, q, entry, scale, may):
     w[(_ERROR + q) * LANES + n] = error if (value < np.inf) & (free | (may[q] == 0.0)) else np.nan
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _macro_error(w):
     """Percent standard error of what stands in MACRO by the delta method; its derivatives stand in rows of COLUMN."""
     for n in range(LANES):
@@ -267,7 +267,7 @@ def _macro_error(w):
         w[_ERROR * LANES + n] = error if value < np.inf else value
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _slope(w, n, q):
     """A derivative, and whether it makes the error infinite because the curve does not feel the parameter.
 

@@ -8,13 +8,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from petkin.fitting import lanes
 from petkin.fitting.lanes import LANES, OWN
 from petkin.fitting.normal import COLUMN, SPEED_1, X0
 from petkin.fitting.table import RATE_OFFSET
 from petkin.fitting.tape import Tape, record_partials
+from petkin.jit import njit
 from petkin.kinetics import CompartmentModel
 from petkin.kinetics.compartment import Macro
 
@@ -57,7 +57,7 @@ def curve_formulas(model: CompartmentModel, macros: tuple[Macro, ...] = ()) -> F
     return Formulas.of(curve, tuple(lambda *p, m=m: m.formula(*p[:-1]) for m in macros), len(model.parameters))
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def lay(memory, register, w, row):
     """A register of the tape into a row."""
     first = np.uint64(row * LANES)  # unsigned indices are known not to count from the end
@@ -65,7 +65,7 @@ def lay(memory, register, w, row):
         w[first + n] = memory[register, n]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def place(memory, outputs, exponentials, low, spacing, last, position, w):
     """Positions of the exponentials between nodes, and how fast they move with the rate."""
     for m in range(exponentials):
@@ -77,7 +77,7 @@ def place(memory, outputs, exponentials, low, spacing, last, position, w):
             position[m, n] = x if x > 0.0 else 0.0  # also where a rate is no number
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def gather(w, gram, own, position):
     """What the inner products need at every curve's rates; an absent second atom sits at the first node."""
     last, two = np.uint64(own.shape[0] - 1), np.uint64(2)
@@ -93,7 +93,7 @@ def gather(w, gram, own, position):
                 w[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[two * j + np.uint64(k), two * i + np.uint64(m)]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def unpack(memory, outputs, parameters, exponentials, w):
     """Amplitudes, and derivatives of amplitudes and rates by every parameter."""
     atoms = 1 + 2 * exponentials

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ def scratch(frames: int, vectors: int, used: int, unknowns: int) -> tuple[Array,
     return tuple(np.zeros((count, _LANES)) for count in rows)
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def solve_curves(frames, start, offset, scale, operators, spans, axes, inverse, spread, lanes, answer):
     """Fill `answer` (unknowns, covariance, WRSS, freedom, total, finite) with curves from `start` on, frames first.
 
@@ -58,7 +59,7 @@ def solve_curves(frames, start, offset, scale, operators, spans, axes, inverse, 
                     covariance[i, m, here] = products[max(i, m) * unknowns + min(i, m), :width]
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _read(block, offset, scale, y, sums):
     """Curves without their offset; in `sums`, the total of each and how many of its values are no numbers."""
     for n in range(_LANES):
@@ -74,7 +75,7 @@ def _read(block, offset, scale, y, sums):
             y[k, n] = (y[k, n] - offset[k]) * scale
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _apply(operator, spans, y, vectors, v):
     """Vector v of every curve: operator times curve."""
     used = operator.shape[0]
@@ -82,7 +83,7 @@ def _apply(operator, spans, y, vectors, v):
         _combine(operator, u, spans[u, 0], spans[u, 1], y, 0, vectors, v * used + u)
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _combine(matrix, row, begin, end, x, base, out, at):
     """out[at] = sum_k matrix[row, k] x[base + k], begin <= k < end."""
     for n in range(_LANES):
@@ -100,7 +101,7 @@ def _combine(matrix, row, begin, end, x, base, out, at):
         k += 1
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _inner(x, i, y, j, count, out, at):
     """out[at] = sum_u x[i + u] y[j + u]."""
     for n in range(_LANES):
@@ -110,7 +111,7 @@ def _inner(x, i, y, j, count, out, at):
             out[at, n] += x[i + u, n] * y[j + u, n]
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _orthogonalise(v, vectors, axes, parts, lengths, sums):
     """Vector v without its components along the axes and the vectors before it; `lengths`, squared, what is left."""
     shared, used = axes.shape
@@ -136,7 +137,7 @@ def _orthogonalise(v, vectors, axes, parts, lengths, sums):
             lengths[v, n] = lengths[v, n] if new else np.nan
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _invert(parts, inverse, triangle, unknowns):
     """Inverse of the triangular matrix that makes the columns from the orthogonal vectors."""
     shared = inverse.shape[0]
@@ -159,13 +160,13 @@ def _invert(parts, inverse, triangle, unknowns):
                     triangle[at, n] += inverse[i, m] * triangle[m * unknowns + j, n]
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _subtract_product(triangle, at, parts, i, j):
     for n in range(_LANES):
         triangle[at, n] -= parts[i, n] * triangle[j, n]
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _spread_noise(spread, vectors, lengths, theta, noise, sums, shared, unknowns):
     """How every frame's noise moves the components along axes and vectors; in `sums`, the freedom of the residuals.
 
@@ -204,7 +205,7 @@ def _spread_noise(spread, vectors, lengths, theta, noise, sums, shared, unknowns
             sums[0, n] -= sums[1, n] * (lengths[i - shared, n] if i >= shared else 1.0)
 
 
-@njit(cache=True, nogil=True, fastmath=_STRICT, error_model="numpy")
+@njit(nogil=True, fastmath=_STRICT)
 def _covariance(noise, triangle, products, unknowns, frames):
     """T M T^T into the lower triangle of `products`, M the inner products of the rows of noise, T the inverse."""
     square = unknowns * unknowns

@@ -8,12 +8,12 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
 from petkin.fitting.search import Exponentials
 from petkin.fitting.tape import WIDTH, Tape, record, run
+from petkin.jit import njit
 from petkin.kinetics import CompartmentModel
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def inverse_formulas(model: CompartmentModel) -> Tape:
     return record(lambda *p: model.invert(*zip(p[:atoms], p[atoms:])), 2 * atoms)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _fill(steps, outputs, memory, phi, rate, blood, ends, theta, inside):
     lower, upper, least, most, rests = ends
     rates, atoms = len(outputs), phi.shape[0]

@@ -16,12 +16,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import lanes
 from petkin.fitting.lanes import LANES, OWN, REGISTER, ROWS
 from petkin.fitting.look_up import GROUP, look_up
+from petkin.jit import njit
 
 #: Curves worked through at a time, a multiple of GROUP: what is kept of them fits the second-level cache.
 BLOCK = 128
@@ -127,7 +127,7 @@ def search(
     return answer
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _search(z, sizes, tables, scratch, tolerance, again, answer):
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
     blood, low, spacing, lowest, highest, rows, gram, own, coarse, atoms, lead, near, units, lean, toward = tables
@@ -175,7 +175,7 @@ def _search(z, sizes, tables, scratch, tolerance, again, answer):
         _hand_over(found, start, size, low, spacing, answer)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _hand_over(found, start, size, low, spacing, answer):
     """A block's answers, the faster exponential first and u instead of positions."""
     for v in range(size):
@@ -188,7 +188,7 @@ def _hand_over(found, start, size, low, spacing, answer):
         answer[X0, n], answer[COST, n], answer[STEPS, n] = found[v, X0], found[v, COST], found[v, STEPS]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _see(z, start, size, units, curves, room, beside):
     """A block's curves, one after another, and their components along the coarse nodes."""
     for r in range(z.shape[0]):
@@ -213,7 +213,7 @@ def _see(z, start, size, units, curves, room, beside):
             beside[v, c] = room[v]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _scale(z, sizes, start, count, scaled):
     """Curves of unit length for the look-up."""
     for n in range(count):
@@ -222,7 +222,7 @@ def _scale(z, sizes, start, count, scaled):
             scaled[r, n] = z[r, start + n] * scale
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(forceinline=True)
 def _enter(work, n, x, y):
     """Start a polish from the positions x, y in lane n: the first trial counts as a gain."""
     for row in range(lanes.SIZE):
@@ -233,7 +233,7 @@ def _enter(work, n, x, y):
     work[lanes.DAMPING * LANES + n] = 1e-2
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _gather(work, count, curve, curves, rows, gram, own):
     """What the formulas need at every lane's trial, where its cell is another than before."""
     # Unsigned indices are known not to count from the end.
@@ -255,7 +255,7 @@ def _gather(work, count, curve, curves, rows, gram, own):
                     work[(lanes.CROSS + 4 * k + m) * LANES + n] = gram[two * j + np.uint64(k), two * i + np.uint64(m)]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _gather_one(work, n, cell, own_row, seen_row, z, rows, own):
     """The record of a cell, and its four rows on the curve."""
     for k in range(OWN):
@@ -273,7 +273,7 @@ def _gather_one(work, n, cell, own_row, seen_row, z, rows, own):
     work[k], work[k + LANES], work[k + 2 * LANES], work[k + 3 * LANES] = s0, s1, s2, s3
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(forceinline=True)
 def _settle(work, n, out, v, first):
     """A lane's end into the answer (positions instead of u), if it is the first or better than what is there."""
     cost = work[lanes.SIZE * LANES + n] - work[lanes.GAIN * LANES + n]
@@ -283,7 +283,7 @@ def _settle(work, n, out, v, first):
         out[v, X2], out[v, COST], out[v, STEPS] = work[lanes.SECOND * LANES + n], cost, work[lanes.STEPS * LANES + n]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(forceinline=True)
 def _again(out, plan, v, beside, blood, coarse, lean, toward, tolerance, again):
     """Positions of the curve's next polish, or -1 where it is finished."""
     if plan[v, _STAGE] == 1.0 and out[v, X2] > 0.0:
@@ -306,7 +306,7 @@ def _again(out, plan, v, beside, blood, coarse, lean, toward, tolerance, again):
     return max(keep, third), min(keep, third)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _along(c, beside, v, taken, lean, toward):
     """What the residual holds along coarse node c."""
     (i, a0, a1, a2, a3), (j, b0, b1, b2, b3), bled = taken
@@ -317,7 +317,7 @@ def _along(c, beside, v, taken, lean, toward):
     return beside[v, np.uint64(c)] - bled * lean[c] - first - second
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(forceinline=True)
 def _taken(position, x, lean, toward):
     """Where the four rows of an exponential begin in `toward`, and what they are weighted by."""
     nodes = len(lean)
@@ -326,7 +326,7 @@ def _taken(position, x, lean, toward):
     return np.uint64(2 * i * nodes), x * a0, x * a1, x * a2, x * a3
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _count_above(threshold, beside, v, taken, lean, toward):
     """Coarse nodes along which the residual exceeds the threshold."""
     count = 0
@@ -335,7 +335,7 @@ def _count_above(threshold, beside, v, taken, lean, toward):
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _steepest(beside, v, taken, lean, toward):
     """The coarse node along which it is largest."""
     node, top = 0, -np.inf

@@ -16,7 +16,7 @@ Positions x count table nodes: u = low + spacing x.
 
 from __future__ import annotations
 
-from numba import njit
+from petkin.jit import njit
 
 #: Curves in step. All scratch lives in one flat array of rows of this length, whose fixed offsets let the compiler see
 #: that rows do not overlap.
@@ -44,7 +44,7 @@ ROWS = 75
 OWN = 14
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def value_weights(s):
     """Cubic Hermite weights of a reading at the fraction s between two nodes; slopes are per node."""
     s2 = s * s
@@ -53,14 +53,14 @@ def value_weights(s):
     return 1.0 - h, s3 - 2.0 * s2 + s, h, s3 - s2
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def slope_weights(s):
     """Their derivatives."""
     d = 6.0 * (s * s - s)
     return d, 3.0 * s * s - 4.0 * s + 1.0, -d, 3.0 * s * s - 2.0 * s
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def own_products(w, row, n, a, e):
     """b.b, b.d, d.d and the blood components of b and d, from a gathered record of `own`."""
     k = row * LANES + n
@@ -85,14 +85,14 @@ def own_products(w, row, n, a, e):
     )
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def combine(w, row, n, a):
     """Four gathered numbers, weighted."""
     k = row * LANES + n
     return w[k] * a[0] + w[k + LANES] * a[1] + w[k + 2 * LANES] * a[2] + w[k + 3 * LANES] * a[3]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _across(w, n, a):
     """The gathered 4 x 4 Gram block between the two atoms' rows, its first side weighted."""
     k = 4 * LANES
@@ -104,14 +104,14 @@ def _across(w, n, a):
     )
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _one(g, h):
     """Amplitude and gain of one atom alone; gain -1 where it is absent or negative."""
     y = h / g
     return y, (h * y if (g > 0.0) & (h > 0.0) else -1.0)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _two(g, between, other, h, k):
     """Amplitudes and gain of two atoms; gain -1 where either is absent or negative, or both are the same."""
     det = g * other - between * between
@@ -121,7 +121,7 @@ def _two(g, between, other, h, k):
     return y, x, (h * y + k * x if ok else -1.0)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def amplitudes(g00, g01, g02, g11, g12, g22, h0, h1, h2):
     """argmin |.|^2 over x >= 0 of three atoms with Gram g and projections h; an absent atom has g = h = 0.
 
@@ -163,7 +163,7 @@ def amplitudes(g00, g01, g02, g11, g12, g22, h0, h1, h2):
     return x0, x1, x2, (h0 * y0 + h1 * y1 + h2 * y2 if full else best)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _inverse(on1, on2, g11, g12, g22):
     """Inverse of the Gram matrix of the exponentials at work, zero elsewhere (and where both are the same)."""
     det = g11 * g22 - g12 * g12
@@ -175,7 +175,7 @@ def _inverse(on1, on2, g11, g12, g22):
     return i11, (-g12 * scale if both else 0.0), i22
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def evaluate(w, registers, blood):
     """Amplitudes and gain at every lane's trial; where they beat the state they become it, with their derivatives.
 
@@ -215,7 +215,7 @@ def evaluate(w, registers, blood):
         _take(w, n, x0, x1, x2, gain, s1, s2, j11, j12, j22)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _take(w, n, x0, x1, x2, gain, s1, s2, j11, j12, j22):
     """Accept the trial where it gains, and set the damping by how well the gain was foretold."""
     rise = gain - w[GAIN * LANES + n]
@@ -236,7 +236,7 @@ def _take(w, n, x0, x1, x2, gain, s1, s2, j11, j12, j22):
     w[CURVE_22 * LANES + n] = j22 if better else w[CURVE_22 * LANES + n]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def propose(w, registers, first, last, reach, tolerance):
     """The next trial of every lane, and which lanes are done.
 
@@ -290,19 +290,19 @@ def propose(w, registers, first, last, reach, tolerance):
         w[STEPS * LANES + n] = steps if done else steps + 1.0
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def weights_1(w, n):
     """Value and slope weights of the first exponential."""
     return value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def weights_2(w, n):
     """Of the second."""
     return value_weights(w[FRACTION_2 * LANES + n]), slope_weights(w[FRACTION_2 * LANES + n])
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def inner_products(w, n):
     """Products of the unit axis, b1, db1/dx, b2 and db2/dx at a lane's trial, row by row of the upper triangle."""
     a, e = value_weights(w[FRACTION_1 * LANES + n]), slope_weights(w[FRACTION_1 * LANES + n])

@@ -7,7 +7,8 @@ fill a vector register. The winner is only where the polish starts, so they are 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from petkin.jit import njit
 
 #: Curves scored together.
 GROUP = 128
@@ -18,7 +19,7 @@ _FAST = {"reassoc", "contract", "nsz", "arcp"}
 _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-6)
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(fastmath=_FAST)
 def look_up(z, atoms, lead, gram, has_blood, c, scores, chosen):
     """Best pair of GROUP curves; `chosen` gets first * nodes + second.
 
@@ -59,7 +60,7 @@ def look_up(z, atoms, lead, gram, has_blood, c, scores, chosen):
             _score_pair(i, j, z, lead, gram, has_blood, c, scores, chosen)
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(fastmath=_FAST)
 def _score_pair(i, j, z, lead, gram, has_blood, c, scores, chosen):
     """Pairs with both amplitudes positive; the rest are singles."""
     li, lj, g = lead[i], lead[j], gram[i, j]

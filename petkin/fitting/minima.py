@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting.bounded import fit_in_box
@@ -15,6 +14,7 @@ from petkin.fitting.nonlinear import NonlinearSettings, alike, squeeze
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import Column, FitResult, Status
 from petkin.fitting.table import BasisTable, Compression
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def _starts(packed: Compression, z: Array, settings: NonlinearSettings) -> tuple
     return np.array(curves, np.intp), np.array(starts, np.float64).reshape(len(curves), len(model.parameters))
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _scan(z, atoms, pair, trapped):
     """Cost of every node or pair of nodes (first faster), and amounts of blood and both atoms."""
     nodes = len(atoms) - 1

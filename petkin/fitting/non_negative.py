@@ -12,8 +12,9 @@ doi:10.1137/1.9781611971217.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ _HELPS = 1e-10
 _APART = 1e-9
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def solve_non_negative(columns: Array, z: Array, x: Array) -> None:
     """Amplitudes of every curve.
 
@@ -84,7 +85,7 @@ def solve_non_negative(columns: Array, z: Array, x: Array) -> None:
             x[inside[k], n] = kept[k]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _most_helpful(columns, left, inside, taken, refused, least):
     """The column outside that leans most on what is left, or -1."""
     best, found = least, -1
@@ -101,7 +102,7 @@ def _most_helpful(columns, left, inside, taken, refused, least):
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _solve(columns, z, n, inside, taken, axes, upper, trial):
     """Least squares with the columns that are in; False where the last depends on the others."""
     for k in range(taken):

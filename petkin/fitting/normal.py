@@ -9,10 +9,10 @@ one flat array of rows, as in `lanes`, which the compiler turns into vector regi
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from petkin.fitting import lanes
 from petkin.fitting.lanes import LANES, ROWS
+from petkin.jit import njit
 
 #: Most parameters, and vectors that their columns are made of.
 PARAMETERS, VECTORS = 5, 5
@@ -33,7 +33,7 @@ _FELT = 1e-13
 ROUNDING = 1e-16
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def column(w, q, n, axis):
     """A parameter's column in the five vectors."""
     k = (COLUMN + 5 * q) * LANES + n
@@ -42,7 +42,7 @@ def column(w, q, n, axis):
     return w[k] * axis, w[k + LANES], moved_1, w[k + 3 * LANES], moved_2
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def apply(g, c):
     """G c; G = (l1, k1, l2, k2 on the axis, then rows of the rest's upper triangle)."""
     l1, k1, l2, k2, g11, c11, g12, c21, d11, c12, d12, g22, c22, d22 = g
@@ -55,12 +55,12 @@ def apply(g, c):
     )
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def scale_of(w, q, n, own, square):
     """1 / length of a column; 0 where the parameter is held or moves the curve by nothing but rounding."""
     felt = w[VALUE * LANES + q * LANES + n] ** 2 * own > _FELT * _FELT * square
@@ -70,14 +70,14 @@ def scale_of(w, q, n, own, square):
     return scale
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _terms(g, c, scale):
     """Sum of squares of what a column at unit length is made of: how much of it may have cancelled."""
     total = c[0] * c[0] + g[4] * c[1] * c[1] + g[8] * c[2] * c[2] + g[11] * c[3] * c[3] + g[13] * c[4] * c[4]
     return total * scale * scale if scale > 0.0 else 0.0
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def sweep(a, steepest):
     """Gauss-Jordan on the first variable of a symmetric 5 x 5 (lower triangle by columns), which then goes last.
 
@@ -106,7 +106,7 @@ def sweep(a, steepest):
     return swept, max(steepest, p)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def invert(w, axis):
     """Inverse of C^T G C from the gathered rows and the columns, and its relative error by cancellation."""
     for n in range(LANES):
@@ -147,12 +147,12 @@ def invert(w, axis):
         w[LOST * LANES + n] = ROUNDING * worst * steepest
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def scaled(value, both):
     return value * both if both > 0.0 else 0.0
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _store(w, n, a, f0, f1, f2, f3, f4):
     """Minus the swept matrix, scaled back."""
     k = INVERSE * LANES + n
@@ -164,7 +164,7 @@ def _store(w, n, a, f0, f1, f2, f3, f4):
     w[k + 14 * LANES] = -a[14] * f4 * f4
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def invert_again(w, n, axis, rows, position_1, position_2, vectors, axes, upper, inverse):
     """The same for one lane from the columns themselves, by modified Gram-Schmidt: half the digits lost.
 
@@ -204,7 +204,7 @@ def invert_again(w, n, axis, rows, position_1, position_2, vectors, axes, upper,
             entry += 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _read_vectors(rows, position, value, slope):
     """b and db/dx at a position."""
     i = min(int(position), rows.shape[1] // 2 - 2)
@@ -215,7 +215,7 @@ def _read_vectors(rows, position, value, slope):
         slope[r] = e[0] * four[0] + e[1] * four[1] + e[2] * four[2] + e[3] * four[3]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _combine(w, q, n, axis, vectors, there):
     """A parameter's column at unit length, zero where it is cut loose; its scale from the column itself."""
     c = column(w, q, n, axis)

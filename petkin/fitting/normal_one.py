@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from petkin.fitting import lanes
 from petkin.fitting.lanes import LANES, OWN
@@ -20,6 +19,7 @@ from petkin.fitting.normal import (
     scale_of,
     scaled,
 )
+from petkin.jit import njit
 
 #: Most parameters.
 PARAMETERS = 3
@@ -27,7 +27,7 @@ PARAMETERS = 3
 _STRICT = {"contract", "nsz"}
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def gather_one(w, own, position):
     """What the inner products need at every curve's rate."""
     last = np.uint64(own.shape[0] - 1)
@@ -39,14 +39,14 @@ def gather_one(w, own, position):
             w[(lanes.OWN_1 + k) * LANES + n] = own[i, np.uint64(k)]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _column(w, q, n, axis):
     """A parameter's column in axis, b and db/dx."""
     k = (COLUMN + 5 * q) * LANES + n
     return w[k] * axis, w[k + LANES], w[k + 2 * LANES] * w[X1 * LANES + n] * w[SPEED_1 * LANES + n]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _apply(g, c):
     """G c."""
     bb, bd, dd, lean, lean_change = g
@@ -57,18 +57,18 @@ def _apply(g, c):
     )
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _terms(g, c, scale):
     """Sum of squares of what a column at unit length is made of: how much of it may have cancelled."""
     return (c[0] * c[0] + g[0] * c[1] * c[1] + g[2] * c[2] * c[2]) * scale * scale if scale > 0.0 else 0.0
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy", forceinline=True)
+@njit(fastmath=_STRICT, forceinline=True)
 def _sweep(a, steepest):
     """Gauss-Jordan on the first variable of a symmetric 3 x 3 (lower triangle by columns), which then goes last."""
     a00, a10, a20, a11, a21, a22 = a
@@ -77,7 +77,7 @@ def _sweep(a, steepest):
     return (a11 - b1 * a10, a21 - b1 * a20, b1, a22 - b2 * a20, b2, -p), max(steepest, p)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def invert_one(w, axis):
     """As `normal.invert`: the same rows are filled in, for the first three parameters."""
     for n in range(LANES):

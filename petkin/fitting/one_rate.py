@@ -28,7 +28,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting import climb
@@ -37,6 +36,7 @@ from petkin.fitting.off_atoms import off_atoms, shared_axes, supports, without
 from petkin.fitting.projection import lens, note, project_block
 from petkin.fitting.scan import SIGNED, TRAPPED, score, shrink
 from petkin.fitting.table import Compression
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -188,7 +188,7 @@ def _scratch(tables: OneRateTables, size: int) -> tuple[NDArray[Any], ...]:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _search(z, sizes, here, tables, scratch, answer):
     for start in range(0, z.shape[1], BLOCK):
         size = min(BLOCK, z.shape[1] - start)
@@ -201,7 +201,7 @@ def _search(z, sizes, here, tables, scratch, answer):
         _search_block(here, sizes[start : start + size], tables, scratch, answer[:, start : start + size])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _search_frames(frames, first, seen, off, tables, scratch, answer, sizes, finite, signal):
     here = seen.block
     for start in range(0, answer.shape[1], BLOCK):
@@ -216,7 +216,7 @@ def _search_frames(frames, first, seen, off, tables, scratch, answer, sizes, fin
         _search_block(here, sizes[start : start + size], tables, scratch, answer[:, start : start + size])
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _search_block(here, sizes, tables, scratch, answer):
     """Answers of the curves of a block, flat rows."""
     # Arrays are unpacked once: handing the tuples on costs a reference count an array and call.
@@ -234,7 +234,7 @@ def _search_block(here, sizes, tables, scratch, answer):
     _hand_over(work, sizes, low, spacing, answer)
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@njit(fastmath={"contract", "nsz"})
 def _start(scores, best, size, node, work):
     """Where to climb from: the top of the parabola through the best node and its neighbours."""
     for row in (climb.WANTED, climb.GAIN, climb.X0, climb.X1, climb.X2):
@@ -250,7 +250,7 @@ def _start(scores, best, size, node, work):
         work[climb.START * BLOCK + n] = work[climb.BEST * BLOCK + n] = node + _SCANNED * (i + 0.5 * offset)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _hand_over(work, sizes, low, spacing, answer):
     """A block's answers."""
     for n in range(len(sizes)):

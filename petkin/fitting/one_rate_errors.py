@@ -8,10 +8,10 @@ Reference: Seber GAF, Wild CJ. Nonlinear regression. Wiley 1989, section 5.1. do
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting.table import Compression
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def one_rate_covariances(packed: Compression, u: Array, x1: Array, held: NDArray
     return answer
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _covariances(rows, low, spacing, length, u, x1, held, scratch, answer):
     b, c = scratch
     axis = 1 if length > 0.0 else 0
@@ -67,7 +67,7 @@ def _covariances(rows, low, spacing, length, u, x1, held, scratch, answer):
             answer[0, n] = 1.0 / length**2 + first * answer[1, n] + second * answer[2, n]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _read(rows, position, value, slope):
     """b and db/dx between two nodes."""
     last = rows.shape[1] // 2 - 2

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting.blocks import BLOCK, even_rows, multiply
 from petkin.fitting.table import Compression
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def project_curves(packed: Compression, weights: Array, frames: NDArray[np.float
     return z, sizes, finite, signal
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _project_all(frames, start, seen, z, sizes, finite, signal):
     for first in range(0, z.shape[1], BLOCK):
         width = min(BLOCK, z.shape[1] - first)
@@ -79,7 +79,7 @@ def _project_all(frames, start, seen, z, sizes, finite, signal):
                 z[r, first + n] = block[r * BLOCK + n]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def project_block(frames, first, width, seen):
     """Look at some curves: fills the block of the lens and its numbers."""
     # Arrays are unpacked once: handing tuples on costs a reference count an array and call.
@@ -90,7 +90,7 @@ def project_block(frames, first, width, seen):
     _add(every, block, shares)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def note(seen, first, width, sizes, finite, signal):
     """Write down what of the block does not depend on a model: see `project_curves`."""
     whole, squares, shares = seen.sizes, seen.squares, seen.shares
@@ -100,7 +100,7 @@ def note(seen, first, width, sizes, finite, signal):
         signal[first + n] = shares[n] > 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _read(frames, first, width, y):
     for k in range(frames.shape[0]):
         here, there = frames[k, first : first + width], y[k * BLOCK : k * BLOCK + width]
@@ -108,7 +108,7 @@ def _read(frames, first, width, y):
             there[n] = here[n]
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@njit(fastmath={"contract", "nsz"})
 def _measure(weights, y, total, plain):
     """Weighted and plain sums of squares of a block of curves; zeros for those that are not finite."""
     frames = len(weights)
@@ -137,7 +137,7 @@ def _measure(weights, y, total, plain):
                 y[k * BLOCK + n] = 0.0
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@njit(fastmath={"contract", "nsz"})
 def _add(every, out, total):
     """every @ out."""
     for n in range(BLOCK):

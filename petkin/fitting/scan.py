@@ -7,9 +7,9 @@ fill a vector register. The winner is only where the polish starts, so they are 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from petkin.fitting.blocks import BLOCK
+from petkin.jit import njit
 
 #: What the shared columns are: the axis alone; the axis and b(0); the axis alone, with amplitudes of either sign.
 SINGLE, TRAPPED, SIGNED = 1, 2, 3
@@ -20,7 +20,7 @@ _FAST = {"reassoc", "contract", "nsz", "arcp"}
 _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.float32(1e-6)
 
 
-@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@njit(fastmath={"contract", "nsz"})
 def shrink(here, sizes, lengths, scaled):
     """A block of curves brought to unit length for the scan; flat rows, `sizes` of those that there are."""
     for n in range(BLOCK):
@@ -32,7 +32,7 @@ def shrink(here, sizes, lengths, scaled):
             scaled[r * BLOCK + n] = here[r * BLOCK + n] * lengths[n]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(fastmath=_FAST)
 def score(z, along, lead, near, kind, has_axis, scores, top, best):
     """What every scanned node explains of every curve, and the node that explains most; amplitudes in closed form."""
     for i in range(len(lead)):
@@ -59,7 +59,7 @@ def score(z, along, lead, near, kind, has_axis, scores, top, best):
             best[n] = node if better else best[n]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(fastmath=_FAST)
 def _score_trapped(i, z, along, lead, near, has_axis, scores):
     """The same with what is trapped, where both amplitudes are positive."""
     li, lj, g = lead[i], lead[0], near[i]

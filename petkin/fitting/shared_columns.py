@@ -8,10 +8,10 @@ computes in the precision that they have.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting.verdict import conclude
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 Answer = tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating], NDArray[np.uint8]]
@@ -55,7 +55,7 @@ def regress_curves(
     _regress(frames, (part.start, part.stop), fixed, outcome, room, answer)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def _regress(frames, part, fixed, outcome, room, answer):
     y, parts, theta, deviations, wrss, freedom, total, finite = room
     (offset, factor, used), axes, inverse, degrees = fixed
@@ -75,7 +75,7 @@ def _regress(frames, part, fixed, outcome, room, answer):
         conclude(found, outcome, degrees, answer, first, last)
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _add_up(frames, first, last, total):
     """Sums of some curves."""
     for n in range(_LANES):
@@ -95,13 +95,13 @@ def _add_up(frames, first, last, total):
         k += 1
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _take(frame, offset, factor, y):
     for n in range(len(frame)):
         y[n] = (frame[n] - offset) * factor
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _combine(weights, rows, out):
     """weights @ rows."""
     for n in range(_LANES):
@@ -120,7 +120,7 @@ def _combine(weights, rows, out):
         u += 1
 
 
-@njit(cache=True, fastmath=_STRICT, error_model="numpy")
+@njit(fastmath=_STRICT)
 def _measure(axes, parts, y, wrss):
     """Sum of squares of what is left of y without its parts along the axes, two axes at a time."""
     for n in range(_LANES):

@@ -16,11 +16,11 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
+from petkin.jit import njit
 
 #: c in u = log(a + c), 1/min: nodes crowd where curves over an hour or two still tell rates apart.
 RATE_OFFSET = 1e-3
@@ -223,7 +223,7 @@ def compress(table: BasisTable, weights: Array, *, tolerance: float = 0.0, size:
     return Compression(axes * root, root, weighted @ axes.T, (table.slope * root) @ axes.T, length, table.u)
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, error_model="numpy")
+@njit(nogil=True, fastmath={"reassoc", "contract", "nsz", "arcp"})
 def project_rows(axes: Array, rows: Array) -> Array:
     """axes @ rows.T, to the bit the same for a row whatever stands beside it (a library's product is not)."""
     answer = np.empty((axes.shape[0], rows.shape[0]))

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting.dual import Dual
 from petkin.fitting.lanes import LANES
+from petkin.jit import njit
 
 _CONSTANT, _INPUT, _ADD, _SUBTRACT, _MULTIPLY, _DIVIDE, _POWER, _ROOT = range(8)
 
@@ -154,7 +154,7 @@ def _allocate(entries: list[tuple[Any, ...]], wanted: list[int], inputs: int) ->
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def run(steps, memory):
     """Carry out a tape on registers whose first hold the inputs."""
     # A width that the compiler does not know keeps it from writing the loops out before it puts them into registers.

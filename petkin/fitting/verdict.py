@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from petkin.fitting.results import Status
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -14,7 +14,7 @@ _OK, _UNSURE = int(Status.OK), int(Status.NOT_IDENTIFIABLE)
 _SILENT, _BROKEN = int(Status.NO_SIGNAL), int(Status.NOT_FINITE)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"}, error_model="numpy")
+@njit(nogil=True, fastmath={"contract", "nsz"})
 def delta_variances(slopes, covariance, variances):
     """d' C d of M quantities: slopes (M, p, n), covariance of the unknowns (p, p, n), answer (M, n)."""
     for m in range(slopes.shape[0]):
@@ -27,7 +27,7 @@ def delta_variances(slopes, covariance, variances):
                     variances[m, n] += times * slopes[m, i, n] * slopes[m, j, n] * covariance[i, j, n]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True)
 def conclude(found, outcome, degrees, answer, first, last):
     """Fill in the answers of some curves; what must not be used is NaN.
 

@@ -18,7 +18,7 @@ import pytest
 import petkin
 
 from .conftest import run_command
-from .tiny_study import dump, tree, write_scan
+from .tiny_study import differences, dump, tree, write_scan
 
 _SCANS = ("01", "02", "03")
 _FIT = ("--model", "1TCM", "--delay", "0")
@@ -116,7 +116,7 @@ def test_a_worker_is_killed(cohort: tuple[Path, dict[str, bytes]]) -> None:
         out, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (0, "")
     assert out.count("Report: ") == len(_SCANS)
-    assert _results(study) == serial
+    assert not differences(_results(study), serial)
     assert not _half_done(study)
 
 
@@ -142,7 +142,7 @@ def test_the_client_is_killed_and_starts_again(cohort: tuple[Path, dict[str, byt
         in ran.out
     )
     assert first[0].stat().st_mtime_ns == stamp
-    assert _results(study) == serial
+    assert not differences(_results(study), serial)
     assert not _half_done(study)
     told = run_command("fit", study, *_FIT)
     assert told.out == ran.out.replace(f"{len(done)} of 3 scans", "3 of 3 scans")
@@ -160,4 +160,4 @@ def test_ctrl_c_ends_the_workers(cohort: tuple[Path, dict[str, bytes]]) -> None:
     _until(lambda: not _alive(process))  # what kept count of their memory may go a moment later
     assert not list(study.rglob(".petkin-*"))
     if before:
-        assert _results(study) == before
+        assert not differences(_results(study), before)

@@ -121,3 +121,14 @@ def change(path: Path, **fields: Any) -> None:
 def tree(root: Path) -> dict[str, bytes]:
     """Every file below a folder with its bytes, and every empty folder."""
     return {str(path.relative_to(root)): path.read_bytes() if path.is_file() else b"folder" for path in root.rglob("*")}
+
+
+def differences(these: dict[str, bytes], those: dict[str, bytes]) -> dict[str, tuple[bytes, bytes]]:
+    """What two trees do not share, by file: from a little before the first byte that differs."""
+    found = {}
+    for path in sorted(these.keys() | those.keys()):
+        one, other = these.get(path, b"absent"), those.get(path, b"absent")
+        if one != other:
+            at = max(next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), 0) - 40, 0)
+            found[path] = one[at : at + 120], other[at : at + 120]
+    return found

@@ -8,7 +8,7 @@ from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import Visible, indistinct
 from petkin.diagnosis.diagnose import CLAIM, DRAWS, Detected, detect, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
-from petkin.diagnosis.families import Family
+from petkin.diagnosis.families import Family, holding
 from petkin.diagnosis.noise import second_differences
 from petkin.diagnosis.nominal import Base, base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
@@ -55,6 +55,7 @@ __all__ = [
     "draws_left",
     "each_alone",
     "foresee_design",
+    "holding",
     "in_common",
     "indistinct",
     "judge_contrasts",

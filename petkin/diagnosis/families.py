@@ -7,7 +7,8 @@ V, the covariance of the rows in every sample, is given: a row's own few samples
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ Array = NDArray[np.float64]
 
 #: The least whose square is not zero.
 _TINY = 1e-150
+#: Shares of the usual size that are tried.
+_SHARES = (0.1, 0.2, 0.4, 0.7, 1.2)
 
 
 @dataclass(frozen=True)
@@ -38,17 +41,51 @@ def scored(family: Family, columns: Array, least: float) -> tuple[Array, Array]:
 
     No mixture of rows has noise of a standard deviation below `least`.
     """
-    size, axes = np.linalg.eigh(family.noise)
-    white = (axes / np.sqrt(np.maximum(size, max(least, _TINY) ** 2))).T
-
-    def whitened(values: Array) -> Array:
-        return (white @ values).reshape(len(values), -1)
-
+    whitened = _whitening(family, least)
     rows, nuisance = whitened(family.rows[None])[0], whitened(family.nuisance)
     seen = whitened(columns.reshape(-1, *family.rows.shape))
     inner = np.eye(len(nuisance)) + nuisance @ nuisance.T
     free = seen - np.linalg.solve(inner, nuisance @ seen.T).T @ nuisance
     return free @ rows, free @ seen.T
+
+
+def holding(family: Family, further: Array, least: float, *, times: float) -> Family:
+    """The family holding more besides: so many times as large a share of it as is likeliest.
+
+    Args:
+        family: the contrasts.
+        further: columns of what they may hold besides (n, J, K), of the usual size.
+        least: no mixture of rows has noise of a smaller standard deviation.
+        times: more than 1 where few rows tell the share, or it differs between them.
+    """
+
+    def with_share(share: float) -> Family:
+        return replace(family, nuisance=np.concatenate([family.nuisance, share * further]))
+
+    return with_share(times * max(_SHARES, key=lambda share: likelihood(with_share(share), least)))
+
+
+def likelihood(family: Family, least: float) -> float:
+    """Log likelihood of the rows without any effect, but for a constant of their noise:
+
+    -(c' C^{-1} c + log |1 + N V^{-1} N'|) / 2
+    """
+    whitened = _whitening(family, least)
+    rows, nuisance = whitened(family.rows[None])[0], whitened(family.nuisance)
+    inner, held = np.eye(len(nuisance)) + nuisance @ nuisance.T, nuisance @ rows
+    square = rows @ rows - held @ np.linalg.solve(inner, held)
+    return float(-0.5 * (square + np.linalg.slogdet(inner)[1]))
+
+
+def _whitening(family: Family, least: float) -> Callable[[Array], Array]:
+    """Rows (n, J, K) in units in which the noise is white (n, J K)."""
+    size, axes = np.linalg.eigh(family.noise)
+    white = (axes / np.sqrt(np.maximum(size, max(least, _TINY) ** 2))).T
+
+    def whitened(values: Array) -> Array:
+        return np.asarray((white @ values).reshape(len(values), -1), np.float64)
+
+    return whitened
 
 
 def root(covariance: Array) -> Array:

@@ -177,7 +177,8 @@ def _diagnosed(
     progress("looking at the image", 0.1)
     picture, imaged = picture_of(source, simulator, detected.based[0]), None
     if picture is not None:
-        simulator = replace(simulator, grain=picture.grain.of_means())
+        # what voxels say of each region's noise leaves no law of it open
+        simulator = replace(simulator, grain=picture.grain.of_means(), law_errors=simulator.law_errors[:0])
         based = base_fit(simulator, curves.values)
         names = frozenset(h.name for h in candidates)
         imaged = look_at_image(picture, simulator, based[0], names, seed=request.seed)

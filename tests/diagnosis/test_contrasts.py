@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
-from petkin.diagnosis import Family, Pattern, judge_contrasts
+from petkin.diagnosis import Family, Pattern, holding, judge_contrasts
+from petkin.diagnosis.families import likelihood
 
 ROWS, SAMPLES = 3, 15
 
@@ -42,3 +44,28 @@ def test_p_values_of_noise_are_uniform(nuisance: np.ndarray, noise: np.ndarray) 
     assert 0.02 <= np.mean(found <= 0.05) <= 0.09
     assert 0.15 <= np.mean(found <= 0.25) <= 0.35
     assert 0.4 <= np.mean(found <= 0.5) <= 0.6
+
+
+@pytest.mark.parametrize("noise", [np.eye(ROWS), SHARED])
+@pytest.mark.parametrize("nuisance", [APART, TOGETHER])
+def test_likelihood_is_that_of_a_normal_distribution(nuisance: np.ndarray, noise: np.ndarray) -> None:
+    """But for what noise alone has at 0."""
+    rows = np.random.default_rng(2).standard_normal((ROWS, SAMPLES))
+    alone = np.kron(noise, np.eye(SAMPLES))
+    flat = nuisance.reshape(len(nuisance), -1)
+    expected = multivariate_normal(cov=alone + flat.T @ flat).logpdf(rows.ravel())
+    constant = multivariate_normal(cov=alone).logpdf(np.zeros(rows.size))
+    assert likelihood(Family(rows, nuisance, noise), 1e-9) == pytest.approx(expected - constant, rel=1e-9)
+
+
+@pytest.mark.parametrize(("mixed", "least", "most"), [(0.0, 0.1, 0.1), (0.3, 0.2, 0.4), (5.0, 1.2, 1.2)])
+def test_a_family_holds_as_much_besides_as_it_shows(mixed: float, least: float, most: float) -> None:
+    """The median of what several hold, each told by its three rows alone."""
+    rng = np.random.default_rng(3)
+    further = 20.0 * np.eye(ROWS)[:, :, None] * np.exp(-np.arange(SAMPLES) / 2.0)
+    shares = []
+    for _ in range(40):
+        besides = mixed * np.tensordot(rng.standard_normal(ROWS), further, 1)
+        bare = Family(rng.standard_normal((ROWS, SAMPLES)) + besides, APART[:0], np.eye(ROWS))
+        shares.append(np.abs(holding(bare, further, 1e-9, times=2.0).nuisance).max() / np.abs(further).max())
+    assert least - 1e-9 <= np.median(shares) / 2.0 <= most + 1e-9

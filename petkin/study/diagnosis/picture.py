@@ -22,8 +22,6 @@ _RIM_MM = (6.0, 18.0)
 _RANK = 4
 #: Voxels beside the labels that a slope needs.
 BESIDE = 2
-#: A mixture of the regions' curves that is always there may be so many times as large as what the image shows.
-_MIXED = 1.2
 #: A frame that holds less than this share of what is predicted is compared as it is.
 _FAINT = 0.3
 
@@ -196,24 +194,22 @@ class Voxels:
         found = np.sqrt(((self.fit.values @ self.picture.courses.T) ** 2).mean(axis=0))
         return share / np.linalg.norm(found) * found
 
-    def there(self, weights: Array, *, foreseen: bool = True) -> Array:
-        """Columns of mixtures of the regions' curves (R M, R, K), each region's for itself.
+    def beside(self, weights: Array) -> Array:
+        """Weighted sums over each region (R, K) beside those of the picture as it is drawn, where there is one."""
+        sums = self.sums(weights)
+        return sums if self.drawn is None else sums - self.framed(weights, self.drawn, self.picture.courses)
+
+    def there(self, weights: Array) -> Array:
+        """Columns of mixtures of the regions' curves (R M, R, K), each region's for itself, by weights of voxels (N,).
 
         Where edges run within voxels no label tells, so that a contrast may hold some of all curves, as large as what
-        the image shows, and as much of each course as a picture drawn from labels has, if that is more.
-
-        Args:
-            weights: of the voxels (N,).
-            foreseen: whether the drawn picture counts, where there is one.
+        the image shows.
         """
         held = self.over_regions(weights[:, None] * self.seen)
         sizes = self.usual(float(np.sqrt((held**2).sum(axis=1).mean())))
-        if foreseen and self.drawn is not None:
-            drawn = self.over_regions(weights[:, None] * self.drawn)
-            sizes = np.maximum(sizes, np.sqrt((drawn**2).mean(axis=0)))
         columns = np.zeros((len(held), held.shape[1], *self.spread.shape))
         for r in range(len(held)):
-            columns[r, :, r] = self.mixed(_MIXED * sizes, r).T
+            columns[r, :, r] = self.mixed(sizes, r).T
         return columns.reshape(-1, *self.spread.shape)
 
     def centred(self, weights: Array) -> Array:

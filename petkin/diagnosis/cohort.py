@@ -4,10 +4,10 @@ Every member has a shared cause e with probability pi, or else what any data set
 
     log B(e) = log int prod_i [(1 - pi) b_i + pi e_i] d pi - sum_i log b_i
 
-with e_i the evidence of all explanations of member i that hold e, and b_i that of none or any of the catalogue. Its
-strength is either any in each member, or about the same in all, as likely: normal about m with a spread of some share
-of it, both unknown. A member whose strength is s with error d then has, of what it had averaged over strengths of its
-own (B(t), see `evidence`),
+with e_i the evidence of all explanations of member i that hold e, and b_i that of none or any of the catalogue. That
+nothing is shared is as likely beforehand as that any one cause is. A cause's strength is either any in each member, or
+about the same in all, as likely: normal about m with a spread of some share of it, both unknown. A member whose
+strength is s with error d then has, of what it had averaged over strengths of its own (B(t), see `evidence`),
 
     e_i exp(t^2 / 2) / B(t) N(s; m, spread^2 + d^2) / N(0; 0, d^2),    t = s / d
 
@@ -30,7 +30,7 @@ from scipy.stats import chi2
 from petkin.diagnosis.diagnose import CLAIM
 from petkin.diagnosis.evidence import SECOND, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
-from petkin.diagnosis.sets import probabilities, smallest_set
+from petkin.diagnosis.sets import smallest_set
 from petkin.diagnosis.verdict import Diagnosis, Estimate, Strength
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ def in_common(members: Sequence[Member]) -> Cohort:
     background = np.array([m.background for m in members])
     labels = list(dict.fromkeys(label for m in members for label in m.evidence))
     found = [_judged(label, members, background) for label in labels]
-    probability, unshared = probabilities({c.label: c.log_evidence for c in found}, 0.0)
+    probability, unshared = _probabilities({c.label: c.log_evidence for c in found})
     ranked = sorted(found, key=lambda c: -c.log_evidence)
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE and c.log_evidence > 0][:_LISTED]
     p = _together([m.p_value for m in members])
@@ -169,6 +169,17 @@ def in_common(members: Sequence[Member]) -> Cohort:
     causes = tuple(replace(c, probability=probability[c.label]) for c in listed)
     total = sum(probability[name] for name in chosen)
     return Cohort(tuple(members), p, causes if p <= CLAIM else (), unshared, chosen, total)
+
+
+def _probabilities(evidence: Mapping[str, float]) -> tuple[dict[str, float], float]:
+    """Of every cause that may be shared, and that none is: as likely as not beforehand, and of single causes any.
+
+    Args:
+        evidence: log evidence by name, against nothing shared; a pair's holds what a second effect costs.
+    """
+    logs = np.array([*evidence.values()]) - np.log(sum("+" not in name for name in evidence))
+    total = float(np.logaddexp.reduce([0.0, *logs]))
+    return {name: float(np.exp(value - total)) for name, value in zip(evidence, logs)}, float(np.exp(-total))
 
 
 def _judged(label: str, members: Sequence[Member], background: Array) -> SharedCause:

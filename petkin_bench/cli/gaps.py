@@ -96,7 +96,9 @@ def survey(
 
 
 def withheld(
-    cases: Annotated[int, typer.Option(help="Scans; those with a verdict are not judged again.", min=1)] = 150,
+    cases: Annotated[
+        int, typer.Option(help="Scans or cohorts; those with a verdict are not judged again.", min=1)
+    ] = 150,
     seed: Annotated[int, typer.Option(help="Of the scans; splits never share one.", min=0)] = 0,
     split: Annotated[str, typer.Option(help="scored, or training for calibration.")] = "scored",
     regions: Annotated[int, typer.Option(help="A scan.", min=1)] = 5,
@@ -107,6 +109,9 @@ def withheld(
         typer.Option(help="Take a part out, which must score worse: projection, priors, common_noise, pairs; engine."),
     ] = "",
     images: Annotated[bool, typer.Option("--images", help="Image cases: small 4-D scans with a segmentation.")] = False,
+    scans: Annotated[
+        int, typer.Option(help="Of one study, which share a cause or not: more than one for cohorts.", min=1)
+    ] = 1,
     examples: Annotated[int, typer.Option(help="Training cases of the network alone (--without engine).")] = 800,
     workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
     work: Annotated[Path, typer.Option(help="Folder of verdicts and answers.")] = Path("bench-withheld"),
@@ -120,12 +125,13 @@ def withheld(
     are scored when all verdicts are there.
     """
     from petkin_bench.provenance import append_rows
+    from petkin_bench.withheld.cohorts.score import cohort_metrics
     from petkin_bench.withheld.images.score import image_metrics
     from petkin_bench.withheld.run import LEARNED_SEED, Plan, run
     from petkin_bench.withheld.score import joined, metrics, text_of
 
     network = work / f"network_seed{LEARNED_SEED}_regions{regions}_{examples}.safetensors"
-    plan = Plan(split, seed, cases, regions, draws, without, images, network, frames)
+    plan = Plan(split, seed, cases, regions, draws, without, images, network, frames, scans)
     if without == "engine" and not network.is_file():
         from petkin_bench.withheld.network import train_network
 
@@ -133,7 +139,7 @@ def withheld(
         typer.echo(f"{examples} training cases are made", err=True)
         train_network(network, seed=LEARNED_SEED, count=examples, regions=regions)
     judged = joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True)))
-    found = image_metrics(judged) if images else metrics(judged)
+    found = (image_metrics if images else cohort_metrics if scans > 1 else metrics)(judged)
     typer.echo(text_of(found))
     if results is not None:
         settings = {

@@ -42,6 +42,7 @@ class Made:
 
     cause: Cause
     drawn: Draw
+    size: float
     change: Change
     subject: Subject
     simulator: Simulator
@@ -54,17 +55,18 @@ def drawn_target(scene: Scene) -> float:
     return float(scene.rng.uniform(*BINS[int(scene.rng.integers(len(BINS)))]))
 
 
-def _made(scene: Scene, cause: Cause, drawn: Draw, size: float) -> Made:
+def made_of(scene: Scene, cause: Cause, drawn: Draw, size: float) -> Made:
+    """A cause at a size."""
     change = cause.build(size, drawn)
     values = observe(scene.subject, (change,))
-    return Made(cause, drawn, change, scene.subject, scene.simulator, values, scene.seen(values), scene.percent)
+    return Made(cause, drawn, size, change, scene.subject, scene.simulator, values, scene.seen(values), scene.percent)
 
 
 def scaled(scene: Scene, cause: Cause, drawn: Draw, target: float) -> Made | None:
     if cause.flag:
-        made = _made(scene, cause, drawn, 1.0)
+        made = made_of(scene, cause, drawn, 1.0)
         return made if made.seen.detectability >= BINS[0][0] else None
-    return _at_strength(lambda size: _made(scene, cause, drawn, size), cause.most, target)
+    return _at_strength(lambda size: made_of(scene, cause, drawn, size), cause.most, target)
 
 
 def _at_strength(make: Callable[[float], Made], most: float, target: float) -> Made | None:
@@ -99,7 +101,7 @@ def withheld_part(scene: Scene) -> Made:
             subject = replace(subject, delay=late * size / 3.0)
         there = replace(scene, subject=subject, simulator=simulator)
         values = observe(subject)
-        return Made(cause, drawn, Change(), subject, simulator, values, there.seen(values), scene.percent)
+        return Made(cause, drawn, size, Change(), subject, simulator, values, there.seen(values), scene.percent)
 
     target = drawn_target(scene)
     return _at_strength(make, 1.5, target) or make(1.0)

@@ -25,7 +25,8 @@ LEARNED_SEED = 901
 
 @dataclass(frozen=True)
 class Plan:
-    """Which cases, what the product is asked, and which part of it is taken out; the file of a network alone."""
+    """Which cases, of how many scans each, what the product is asked, and which part of it is taken out; the file of a
+    network alone."""
 
     split: str
     seed: int
@@ -36,6 +37,7 @@ class Plan:
     images: bool = False
     network: Path = Path()
     frames: str = "clinical"
+    scans: int = 1
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -48,11 +50,15 @@ class Plan:
             raise InputError(f"--frames {self.frames!r}: give {' or '.join(SCHEDULES_S)}.")
         if self.images and self.without:
             raise InputError("--images judges the whole product: leave --without away.")
+        if self.scans > 1 and (self.images or self.without or self.frames != "clinical"):
+            raise InputError(f"--scans {self.scans}: leave --images, --without and --frames away.")
 
     @property
     def stem(self) -> str:
         if self.images:
             return f"withheld_{self.split}_seed{self.seed}_images"
+        if self.scans > 1:
+            return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}_scans{self.scans}"
         lacking = f"_without_{self.without}" if self.without else ""
         frames = f"_{self.frames}" if self.frames != "clinical" else ""
         return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}{frames}{lacking}"
@@ -88,6 +94,8 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
     """Answer and verdict of one case as rows."""
     if plan.images:
         return _judged_image(plan, index)
+    if plan.scans > 1:
+        return _judged_cohort(plan, index)
     from petkin_bench.withheld.judge import ideal, verdict
 
     scan, truth = case(plan.split, plan.seed, index, plan.regions, plan.frames)
@@ -111,6 +119,26 @@ def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, 
     answer = {"index": index} | row_of(truth) | {"size": round(truth.size, 4), "width": truth.width}
     read = ideal(truth, made, split=plan.split, seed=index)
     return answer, _sealed(answer) | verdict(scan, seed=index) | read
+
+
+def _judged_cohort(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
+    from petkin_bench.withheld.cohorts.cases import cohort_case
+    from petkin_bench.withheld.cohorts.judge import cohort_verdict
+
+    scans, truth = cohort_case(plan.split, plan.seed, index, plan.scans, plan.regions)
+    answer: dict[str, object] = {
+        "index": index,
+        "kind": truth.kind,
+        "noise": truth.noise,
+        "percent": truth.percent,
+        "name": truth.name,
+        "form": truth.form,
+        "classes": "|".join(truth.same),
+        "detectability": ";".join(f"{strength:.4f}" for strength in truth.detectability),
+        "sizes": ";".join(f"{size:.6g}" for size in truth.sizes),
+        "size": round(truth.size, 6),
+    }
+    return answer, _sealed(answer) | cohort_verdict(scans, seed=index, draws=plan.draws)
 
 
 def _sealed(answer: dict[str, object]) -> dict[str, object]:

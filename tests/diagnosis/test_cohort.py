@@ -79,6 +79,27 @@ def test_causes_of_their_own_are_not_shared() -> None:
     assert all(c.prevalence.value < 0.5 for c in cohort.causes)
 
 
+@pytest.mark.parametrize(("holders", "shared"), [(2, False), (5, True)])
+def test_that_two_could_have_the_same_of_many_causes_is_no_wonder(holders: int, shared: bool) -> None:
+    """Of six data sets each has a gap of its own; some have one as likely, which is the same."""
+
+    def one(i: int) -> Member:
+        evidence = {f"cause{k}": -4.0 for k in range(28)} | {f"cause{i}": 15.0}
+        return Member(f"m{i}", 0.001, evidence | ({"cause20": 15.0} if i < holders else {}), {}, {})
+
+    cohort = in_common([one(i) for i in range(6)])
+    assert cohort.present
+    assert cohort.causes[0].label == "cause20"
+    assert (cohort.unshared < 0.5) == shared
+    assert cohort.kind == ("named" if shared else "unknown")
+
+
+def test_none_is_shared_or_any_cause_alike_beforehand() -> None:
+    """Where members say nothing of any."""
+    members = [Member(f"m{i}", 0.001, {f"cause{k}": 0.0 for k in range(28)}, {}, {}) for i in range(6)]
+    assert in_common(members).unshared == pytest.approx(0.5, abs=0.02)
+
+
 def member(label: str, evidence: float, strength: float, *, single: bool = True) -> Member:
     """A data set whose offset has this evidence and strength, with an error of 1, beside an effect that it lacks."""
     width = 1.6448536269514722

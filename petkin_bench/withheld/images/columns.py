@@ -93,7 +93,9 @@ def _same_in_curves(made: Made) -> set[str]:
     noise = law(values, subject.frames, scene.percent / 10.0, 0.0)
     refitted = seen(values, scene.simulator, subject, noise)
     part = regional.Cause(cause.name, cause.stage, lambda size, drawn: Change(), cause.most)
-    curves = MadeCurves(part, made.place.drawn, Change(), subject, scene.simulator, values, refitted, scene.percent)
+    curves = MadeCurves(
+        part, made.place.drawn, made.size, Change(), subject, scene.simulator, values, refitted, scene.percent
+    )
     return same_of_its_size(curves, noise)
 
 

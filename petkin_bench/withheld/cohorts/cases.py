@@ -1,0 +1,158 @@
+"""Cohort cases: scans as the product sees them, and apart from them the answer; both follow from split, seed and index.
+
+One scanner, tracer and law of noise; every scan has a subject, a moment and a place of its own. Sizes of a shared cause
+are log-normal about one size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from petkin_bench.withheld.cases import SPLITS, Scan
+from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, Cause, draw
+from petkin_bench.withheld.classes import class_of, columns_of
+from petkin_bench.withheld.making import Made, Scene, made_of, scaled
+from petkin_bench.withheld.noise import KINDS, noisy
+from petkin_bench.withheld.observe import observe
+from petkin_bench.withheld.subject import draw_subject
+from petkin_bench.withheld.visibility import Simulator
+
+#: Kinds of cohort and their shares: no gap; a cause in all scans; in some; in every scan another.
+_KINDS = {"none": 0.2, "all": 0.3, "some": 0.3, "apart": 0.2}
+#: Bins of d' of the first scan's cause, and of causes that differ; how often a shared cause has another form.
+BINS, _APART, _OTHER_FORM = ((2.0, 4.0), (4.0, 6.0), (6.0, 10.0)), (5.0, 10.0), 0.25
+#: Standard deviation of the logarithm of sizes, and how often a scan has what only some have,
+#: and how many at least.
+SPREAD, SHARE, _LEAST = 0.25, 0.5, 2
+_PERCENT = (1.0, 2.0, 4.0)
+_TRIES, _QUIET = 90, 30
+#: What sets cohorts apart from single scans of the same seed.
+_STREAM = 11
+
+
+@dataclass(frozen=True)
+class CohortAnswer:
+    """What was withheld.
+
+    Args:
+        kind: none, all, some, apart.
+        noise, percent: of all scans.
+        name: in the catalogue's words; "" where nothing is shared.
+        form: "known" or "other form"; "" where nothing is shared.
+        same: the name and what looks the same in every scan that holds it.
+        detectability: d' of every scan, 0 where it holds nothing.
+        sizes: of the shared cause in every scan; 0 where it holds nothing.
+        size: what sizes are about, with its sign; 0 where nothing is shared.
+    """
+
+    kind: str
+    noise: str
+    percent: float
+    name: str
+    form: str
+    same: tuple[str, ...]
+    detectability: tuple[float, ...]
+    sizes: tuple[float, ...]
+    size: float
+
+
+def cohort_case(split: str, seed: int, index: int, scans: int, regions: int = 5) -> tuple[list[Scan], CohortAnswer]:
+    """One cohort; the same arguments give the same bytes."""
+    rng = np.random.default_rng([SPLITS[split], seed, index, _STREAM])
+    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    noise = str(rng.choice(list(KINDS)))
+    percent = float(rng.choice(_PERCENT))
+    scenes = _scenes(rng, percent, noise, scans, regions)
+    if kind in ("all", "some"):
+        return _shared(scenes, split, kind, noise)
+    made = _apart(scenes) if kind == "apart" else [None for _ in scenes]
+    strengths = tuple(0.0 if m is None else m.seen.detectability for m in made)
+    answer = CohortAnswer(kind, noise, percent, "", "", (), strengths, (0.0,) * scans, 0.0)
+    return _scans(scenes, made, noise), answer
+
+
+def _scenes(rng: np.random.Generator, percent: float, noise: str, scans: int, regions: int) -> list[Scene]:
+    """Subjects in the frames of the first."""
+    subjects = [draw_subject(rng, regions) for _ in range(scans)]
+    alike = [replace(subject, frames=subjects[0].frames) for subject in subjects]
+    return [Scene(rng, subject, Simulator(), percent, KINDS[noise][0]) for subject in alike]
+
+
+def _shared(scenes: list[Scene], split: str, kind: str, noise: str) -> tuple[list[Scan], CohortAnswer]:
+    """A cause of which the first scan would have its strength, at the size that all are about."""
+    rng = scenes[0].rng
+    form = "other form" if rng.random() < _OTHER_FORM else "known"
+    causes = [c for c in (OTHER_FORMS[split] if form == "other form" else KNOWN) if not c.flag]
+    holds = np.ones(len(scenes), bool)
+    while kind == "some" and not _LEAST <= holds.sum() < len(scenes):
+        holds = rng.random(len(scenes)) < SHARE
+    scenes, first = _at_strength(scenes, causes, float(rng.uniform(*BINS[int(rng.integers(len(BINS)))])))
+    made: list[Made | None] = []
+    for scene, held in zip(scenes, holds, strict=True):
+        drawn = replace(draw(rng, scene.subject), sign=first.drawn.sign, length=first.drawn.length)
+        size = first.size * float(np.exp(SPREAD * rng.standard_normal()))
+        made.append(made_of(scene, first.cause, drawn, size) if held else None)
+    there = [(scene, m) for scene, m in zip(scenes, made, strict=True) if m is not None]
+    same = [set(class_of(m, scene.law(m.values), columns_of(scene, m))) for scene, m in there]
+    answer = CohortAnswer(
+        kind=kind,
+        noise=noise,
+        percent=first.percent,
+        name=first.cause.name,
+        form=form,
+        same=tuple(sorted(set.intersection(*same))),
+        detectability=tuple(0.0 if m is None else m.seen.detectability for m in made),
+        sizes=tuple(0.0 if m is None else m.size for m in made),
+        size=first.drawn.sign * first.size,
+    )
+    return _scans(scenes, made, noise), answer
+
+
+def _at_strength(scenes: list[Scene], causes: list[Cause], target: float) -> tuple[list[Scene], Made]:
+    """A cause that is so visible in the first scan within what is plausible; where none is, in less noise."""
+    rng = scenes[0].rng
+    for attempt in range(_TRIES):
+        if attempt == _QUIET:
+            scenes = [replace(scene, percent=_PERCENT[0]) for scene in scenes]
+        cause = causes[int(rng.integers(len(causes)))]
+        found = scaled(scenes[0], cause, draw(rng, scenes[0].subject), target)
+        if found is not None:
+            return scenes, found
+    raise RuntimeError(f"No cause reached its strength in {_TRIES} draws.")
+
+
+def _apart(scenes: list[Scene]) -> list[Made]:
+    """In every scan a cause that no other scan's could be taken for, at a strength that one scan shows."""
+    found: list[Made] = []
+    taken: set[str] = set()
+    for scene in scenes:
+        made, same = _unlike(scene, taken)
+        taken |= same
+        found.append(made)
+    return found
+
+
+def _unlike(scene: Scene, taken: set[str]) -> tuple[Made, set[str]]:
+    """A cause whose class has none of these, and that class."""
+    left = [c for c in KNOWN if not c.flag and c.name not in taken]
+    for _ in range(_TRIES):
+        (there,), made = _at_strength([scene], left, float(scene.rng.uniform(*_APART)))
+        same = set(class_of(made, there.law(made.values), columns_of(there, made)))
+        if not same & taken:
+            return made, same
+    raise RuntimeError(f"No cause of a class of its own in {_TRIES} draws.")
+
+
+def _scans(scenes: list[Scene], made: Sequence[Made | None], noise: str) -> list[Scan]:
+    """What the product is given of each."""
+    found = []
+    for scene, m in zip(scenes, made, strict=True):
+        subject, clean = scene.subject, observe(scene.subject) if m is None else m.values
+        law = (scene if m is None else replace(scene, percent=m.percent)).law(clean)
+        values = noisy(clean, law, KINDS[noise][1], scene.rng)
+        names = tuple(f"region{r + 1}" for r in range(len(values)))
+        found.append(Scan(names, subject.frames, values, subject.blood, "2tcm", ("blood_volume", "arterial_delay")))
+    return found

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from petkin.io import write_text
+
 RESULTS = Path(__file__).parent / "results"
 _LIBRARIES = ("numpy", "scipy", "numba", "torch")
 
@@ -29,26 +31,32 @@ def provenance() -> dict[str, str]:
 
 
 def append_rows(name: str, rows: list[dict[str, object]], folder: Path = RESULTS) -> Path:
-    """Add rows, with their provenance, to `<name>.csv`; columns that are new are added to the old rows empty."""
+    """Add rows, with their provenance, to `<name>.csv`; columns that are new are added to the old rows empty.
+
+    The file is written whole or not at all.
+    """
     path = folder / f"{name}.csv"
     folder.mkdir(parents=True, exist_ok=True)
     table = pd.DataFrame([row | provenance() for row in rows])
     if path.is_file():
         table = pd.concat([pd.read_csv(path, dtype=str), table.astype(str)], ignore_index=True)
-    table.to_csv(path, index=False)
+    write_text(path, table.to_csv(index=False))
     return path
 
 
 def _commit() -> str:
-    """Commit of the working tree, "+" where it was changed since; "unknown" outside a checkout."""
-    here = Path(__file__).parent
+    """Commit of the working tree, "+" where more than results was changed since; "unknown" outside a checkout."""
     try:
-        found = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+"], cwd=here, capture_output=True, text=True, check=True
-        )
+        name = _git("describe", "--always")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", f":(exclude){RESULTS}")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return found.stdout.strip()
+    return f"{name}+" if changed else name
+
+
+def _git(*words: str) -> str:
+    here = Path(__file__).parent
+    return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def _cpu() -> str:

@@ -101,8 +101,8 @@ def measure_real(
     blood: str = RECORDED,
     lacking: str = "",
     seed: int = 0,
-) -> list[dict[str, object]]:
-    """One row a scan and case: what was withheld or put in, and what the diagnosis says.
+) -> Iterator[list[dict[str, object]]]:
+    """Case by case as they come, one row a scan: what was withheld or put in, and what the diagnosis says.
 
     Args:
         folder: PET-BIDS study with regional curves and blood.
@@ -129,9 +129,8 @@ def measure_real(
             for case in _cases(scan, law, np.random.default_rng((seed, *scan.label.encode()))):
                 if not only or case.name in only:
                     studies.setdefault((case.name, _label(case.simulator)), []).append((scan.label, case))
-        rows = [row for study in studies.values() for row in _rows(study, rivals, seed)]
-        order = [*(scan.label for scan in scans), _GROUP]
-        return sorted(rows, key=lambda row: order.index(str(row["scan"])))
+        for study in studies.values():
+            yield _rows(study, rivals, seed)
 
 
 def _recordings(folder: Path, subjects: tuple[str, ...], seg: str | None, blood: str) -> Iterator[_Recording]:

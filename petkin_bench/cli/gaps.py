@@ -58,7 +58,7 @@ def real_scans(
 ) -> None:
     """Withhold effects from the simulator, and put blunders into the curves, of real scans; ask what is missing.
 
-    Rows are appended to petkin_bench/results/real_scans.csv.
+    Rows are appended to petkin_bench/results/real_scans.csv, case by case as they come.
     """
     import pandas as pd
 
@@ -66,12 +66,15 @@ def real_scans(
     from petkin_bench.real_scans import measure_real, summary
 
     subjects, only, rivals = (tuple(values or ()) for values in (subject, case, rival))
-    rows = measure_real(
-        data, subjects=subjects, seg=seg, only=only, rivals=rivals, blood=read_blood, lacking=without, seed=seed
-    )
-    typer.echo(pd.DataFrame(summary(rows)).to_string(index=False))
     settings = {"seed": seed, "blood": read_blood, "without": without}
-    typer.echo(f"Appended to {append_rows('real_scans', [row | settings for row in rows])}")
+    rows: list[dict[str, object]] = []
+    for found in measure_real(
+        data, subjects=subjects, seg=seg, only=only, rivals=rivals, blood=read_blood, lacking=without, seed=seed
+    ):
+        path = append_rows("real_scans", [row | settings for row in found])
+        typer.echo(f"{found[0]['case']} ({found[0]['simulator']}): appended to {path}", err=True)
+        rows += found
+    typer.echo(pd.DataFrame(summary(rows)).to_string(index=False))
 
 
 def survey(

@@ -10,11 +10,16 @@ from petkin.errors import InputError
 from petkin_bench.real_scans import measure_real, summary
 
 
+def measured(folder: Path, **asked) -> list[dict[str, object]]:
+    """Rows of all cases."""
+    return [row for rows in measure_real(folder, **asked) for row in rows]
+
+
 def test_a_late_clock_is_named_and_a_twin_is_not_accused(shared_data: Path) -> None:
-    rows = measure_real(shared_data / "pbr28", subjects=("cgyu",), only=("twin", "delay+10s"))
-    assert [row["case"] for row in rows] == 3 * ["twin", "delay+10s"]
-    assert [row["scan"] for row in rows[-2:]] == ["group", "group"]
-    late = [row for row in rows[:-2] if row["case"] == "delay+10s"]
+    rows = measured(shared_data / "pbr28", subjects=("cgyu",), only=("twin", "delay+10s"))
+    assert [row["case"] for row in rows] == 3 * ["twin"] + 3 * ["delay+10s"]
+    assert [row["scan"] for row in rows[2::3]] == ["group", "group"]
+    late = [row for row in rows[3:5] if row["case"] == "delay+10s"]
     assert all(isinstance(row["detectability"], float) and row["detectability"] > 10.0 for row in late)
     twins, clocks = summary(rows)
     assert (twins["scans"], twins["alarms"]) == (2, 0)
@@ -26,7 +31,7 @@ def test_a_late_clock_is_named_and_a_twin_is_not_accused(shared_data: Path) -> N
 
 def test_trapping_is_told_from_a_few_rivals(shared_data: Path) -> None:
     few = ("dispersion", "gain_drift", "gain_step", "randoms_offset", "tissue_metabolite")
-    rows = measure_real(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",), rivals=few)
+    rows = measured(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",), rivals=few)
     (row,) = summary(rows)
     assert {r["rivals"] for r in rows} == {" ".join(few)}
     assert {name for r in rows[:2] for name in str(r["leader"]).split("+")} <= {*few, "vascular_trapping"}
@@ -36,13 +41,13 @@ def test_trapping_is_told_from_a_few_rivals(shared_data: Path) -> None:
 def test_what_these_walls_trap_returns(shared_data: Path) -> None:
     """Said of three of these six scans."""
     subjects = ("cgyu", "flfp", "jdcs")
-    rows = measure_real(shared_data / "pbr28", subjects=subjects, only=("vascular_release",), blood="fitted")
+    rows = measured(shared_data / "pbr28", subjects=subjects, only=("vascular_release",), blood="fitted")
     assert sum(bool(row["first"]) for row in rows[:-1]) >= 3
     assert {str(row["simulator"]).split()[-1] for row in rows} == {"vascular_trapping"}
 
 
 def test_a_simulator_that_traps_nothing_has_nothing_to_return(shared_data: Path) -> None:
-    rows = measure_real(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",))
+    rows = measured(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",))
     assert {str(row["simulator"]) for row in rows} == {"2TCM blood_volume arterial_delay"}
 
 
@@ -51,7 +56,7 @@ def test_a_record_that_errs_is_a_gap_only_where_it_is_taken_as_exact(shared_data
     rows = [
         row
         for seed in (0, 2)
-        for row in measure_real(shared_data / "pbr28", subjects=("flfp",), only=cases, blood="fitted", seed=seed)
+        for row in measured(shared_data / "pbr28", subjects=("flfp",), only=cases, blood="fitted", seed=seed)
     ]
     rows = [row for row in rows if row["scan"] != "group"]
     known, exact = ([row["kind"] != "none" for row in rows if row["case"] == case] for case in cases)
@@ -64,7 +69,7 @@ def test_a_mean_life_is_named_where_blood_may_err(shared_data: Path) -> None:
     """As the record stands a free trapping follows it better in these two scans."""
     named = {}
     for blood in ("recorded", "fitted"):
-        rows = measure_real(shared_data / "pbr28", subjects=("cgyu",), only=("mean_life_swap",), blood=blood)
+        rows = measured(shared_data / "pbr28", subjects=("cgyu",), only=("mean_life_swap",), blood=blood)
         bare = [row for row in rows[:-2] if "vascular_trapping" not in str(row["simulator"])]
         named[blood] = [row["first"] for row in bare]
     assert named == {"recorded": [False, False], "fitted": [True, True]}
@@ -72,12 +77,12 @@ def test_a_mean_life_is_named_where_blood_may_err(shared_data: Path) -> None:
 
 def test_a_rival_of_no_catalogue_is_one_line(shared_data: Path) -> None:
     with pytest.raises(InputError, match="nonsense"):
-        measure_real(shared_data / "pbr28", rivals=("nonsense",))
+        measured(shared_data / "pbr28", rivals=("nonsense",))
 
 
 def test_a_part_that_the_engine_has_not_is_one_line(shared_data: Path) -> None:
     with pytest.raises(InputError, match="--without 'nonsense': there are projection, priors"):
-        measure_real(shared_data / "pbr28", lacking="nonsense")
+        measured(shared_data / "pbr28", lacking="nonsense")
 
 
 def test_no_rows_are_no_summary() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ import pytest
 from petkin.errors import InputError
 from petkin.fitting import Choices, Given
 from petkin.methods import find_method
+from petkin_bench import provenance
 from petkin_bench.accuracy import SETS, measure_accuracy
 from petkin_bench.by_hand import costs_of, fit_by_hand
 from petkin_bench.graphical import measure_graphical, patlak_in_numpy
@@ -72,6 +74,33 @@ def test_rows_keep_their_provenance_and_old_rows_stay(tmp_path) -> None:
     table = pd.read_csv(append_rows("speed", [{"fit": "b", "y": 2.0}], tmp_path))
     assert list(table["fit"]) == ["a", "b"]
     assert table[["petkin", "commit", "date", "cpu", "cores", "python", "libraries"]].notna().all(axis=None)
+
+
+def test_results_are_no_change_of_the_program(tmp_path, monkeypatch) -> None:
+    """A second table of one run is of the same commit as the first; of changed code it is not."""
+
+    def git(*words: str) -> None:
+        subprocess.run(["git", "-c", "user.name=n", "-c", "user.email=e", *words], cwd=tmp_path, check=True)
+
+    package = tmp_path / "package"
+    results = package / "results"
+    results.mkdir(parents=True)
+    (package / "code.py").write_text("1\n")
+    (results / "speed.csv").write_text("fit\na\n")
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "one")
+    monkeypatch.setattr(provenance, "RESULTS", results)
+    monkeypatch.setattr(provenance, "__file__", str(package / "code.py"))
+
+    def commit() -> str:
+        return str(pd.read_csv(append_rows("speed", [{"fit": "b"}], results))["commit"].iloc[-1])
+
+    first, second = commit(), commit()
+    assert first == second
+    assert not first.endswith("+")
+    (package / "code.py").write_text("2\n")
+    assert commit() == f"{first}+"
 
 
 def test_accuracy_needs_the_curves(tmp_path) -> None:

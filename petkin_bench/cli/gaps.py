@@ -113,7 +113,7 @@ def withheld(
     ] = "",
     images: Annotated[bool, typer.Option("--images", help="Image cases: small 4-D scans with a segmentation.")] = False,
     scans: Annotated[
-        int, typer.Option(help="Of one study, which share a cause or not: more than one for cohorts.", min=1)
+        int, typer.Option(help="Of one study, which share a cause or not: 3 to 10 for cohorts.", min=1)
     ] = 1,
     examples: Annotated[int, typer.Option(help="Training cases of the network alone (--without engine).")] = 800,
     workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from petkin.errors import InputError
 from petkin_bench.withheld.ablations import ENGINE, PARTS, without
 from petkin_bench.withheld.cases import SPLITS, Answer, case
+from petkin_bench.withheld.cohorts.cases import SCANS, cohort_case
 from petkin_bench.withheld.subject import SCHEDULES_S
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ class Plan:
             raise InputError(f"--frames {self.frames!r}: give {' or '.join(SCHEDULES_S)}.")
         if self.images and self.without:
             raise InputError("--images judges the whole product: leave --without away.")
+        if self.scans > 1 and not SCANS[0] <= self.scans <= SCANS[1]:
+            raise InputError(f"--scans {self.scans}: give 1, or {SCANS[0]} to {SCANS[1]} for cohorts.")
         if self.scans > 1 and (self.images or self.without or self.frames != "clinical"):
             raise InputError(f"--scans {self.scans}: leave --images, --without and --frames away.")
 
@@ -122,7 +125,6 @@ def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, 
 
 
 def _judged_cohort(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
-    from petkin_bench.withheld.cohorts.cases import cohort_case
     from petkin_bench.withheld.cohorts.judge import cohort_verdict
 
     scans, truth = cohort_case(plan.split, plan.seed, index, plan.scans, plan.regions)

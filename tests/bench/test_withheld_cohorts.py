@@ -115,12 +115,23 @@ def test_scores_by_hand() -> None:
 
 def test_a_cohort_is_judged_and_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cases, "_KINDS", {"all": 1.0})
-    verdicts, answers = runs.run(Plan("training", 5, 1, 2, 50, scans=2), tmp_path)
+    verdicts, answers = runs.run(Plan("training", 5, 1, 2, 50, scans=SCANS), tmp_path)
     (case,) = joined(verdicts, answers)
-    assert len(case.words("detectability")) == 2
+    assert len(case.words("detectability")) == SCANS
     assert case.cells["verdict"] in ("none", "named", "ambiguous", "unknown")
-    assert len(case.cells["each"].split(";")) == 2
-    assert {m.name.partition(": ")[0] for m in cohort_metrics([case])} == {"cohorts of 2"}
+    assert len(case.cells["each"].split(";")) == SCANS
+    assert {m.name.partition(": ")[0] for m in cohort_metrics([case])} == {"cohorts of 3"}
+
+
+@pytest.mark.parametrize("scans", [2, 11])
+def test_two_scans_and_more_than_there_are_classes_are_refused(scans: int) -> None:
+    with pytest.raises(InputError, match=f"--scans {scans}: give 1, or 3 to 10"):
+        Plan("scored", 0, 1, 5, 100, scans=scans)
+
+
+def test_ten_causes_of_classes_of_their_own_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cases, "_KINDS", {"apart": 1.0})
+    assert len(cohort_case("training", 5, 1, cases.SCANS[1], 2)[0]) == cases.SCANS[1]
 
 
 def test_cohorts_of_images_are_refused() -> None:

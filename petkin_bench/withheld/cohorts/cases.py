@@ -20,12 +20,13 @@ from petkin_bench.withheld.observe import observe
 from petkin_bench.withheld.subject import draw_subject
 from petkin_bench.withheld.visibility import Simulator
 
+#: Scans of a cohort at least, so that some are not all, and at most, as there are no more classes of causes.
+SCANS = (3, 10)
 #: Kinds of cohort and their shares: no gap; a cause in all scans; in some; in every scan another.
 _KINDS = {"none": 0.2, "all": 0.3, "some": 0.3, "apart": 0.2}
 #: Bins of d' of the first scan's cause, and of causes that differ; how often a shared cause has another form.
 BINS, _APART, _OTHER_FORM = ((2.0, 4.0), (4.0, 6.0), (6.0, 10.0)), (5.0, 10.0), 0.25
-#: Standard deviation of the logarithm of sizes, and how often a scan has what only some have,
-#: and how many at least.
+#: Standard deviation of the logarithm of sizes; how often a scan has what only some have, and how many do at least.
 SPREAD, SHARE, _LEAST = 0.25, 0.5, 2
 _PERCENT = (1.0, 2.0, 4.0)
 _TRIES, _QUIET = 90, 30
@@ -39,7 +40,7 @@ class CohortAnswer:
 
     Args:
         kind: none, all, some, apart.
-        noise, percent: of all scans.
+        noise, percent: of all scans; where causes differ, a scan may have less noise.
         name: in the catalogue's words; "" where nothing is shared.
         form: "known" or "other form"; "" where nothing is shared.
         same: the name and what looks the same in every scan that holds it.

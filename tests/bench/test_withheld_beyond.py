@@ -82,7 +82,7 @@ def lacking(subject: Subject, simulator: Simulator, name: str) -> Made:
     noise = scene_of(subject).law(values)
     part = Cause(name, "input", lambda size, drawn: Change(), 1.0)
     drawn = draw(np.random.default_rng(6), subject)
-    return Made(part, drawn, Change(), subject, simulator, values, seen(values, simulator, subject, noise), 1.0)
+    return Made(part, drawn, 1.0, Change(), subject, simulator, values, seen(values, simulator, subject, noise), 1.0)
 
 
 @pytest.mark.parametrize("late", [-0.3, 0.2])

@@ -5,9 +5,13 @@ Every member has a shared cause e with probability pi, or else what any data set
     log B(e) = log int prod_i [(1 - pi) b_i + pi e_i] d pi - sum_i log b_i
 
 with e_i the evidence of all explanations of member i that hold e, and b_i that of none or any of the catalogue. That
-nothing is shared is as likely beforehand as that any one cause is. A cause's strength is either any in each member, or
-about the same in all, as likely: normal about m with a spread of some share of it, both unknown. A member whose
-strength is s with error d then has, of what it had averaged over strengths of its own (B(t), see `evidence`),
+nothing is shared is as likely beforehand as that some one of n causes is, any of them alike:
+
+    P(nothing) = 1 / (1 + sum_e B(e) / n)
+
+A cause's strength is either any in each member, or about the same in all, as likely: normal about m with a spread of
+some share of it, both unknown. A member whose strength is s with error d then has, of what it had averaged over
+strengths of its own (B(t), see `evidence`),
 
     e_i exp(t^2 / 2) / B(t) N(s; m, spread^2 + d^2) / N(0; 0, d^2),    t = s / d
 
@@ -172,7 +176,7 @@ def in_common(members: Sequence[Member]) -> Cohort:
 
 
 def _probabilities(evidence: Mapping[str, float]) -> tuple[dict[str, float], float]:
-    """Of every cause that may be shared, and that none is: as likely as not beforehand, and of single causes any.
+    """Of every cause that may be shared, and that none is.
 
     Args:
         evidence: log evidence by name, against nothing shared; a pair's holds what a second effect costs.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,13 +23,13 @@ Array = NDArray[np.float64]
 SPLITS = {"training": 1, "scored": 2}
 #: Kinds of case and their shares.
 _KINDS = {"none": 0.25, "known": 0.35, "other form": 0.12, "unknown": 0.13, "pair": 0.15}
-_PERCENT = (1.0, 2.0, 4.0)
+PERCENT = (1.0, 2.0, 4.0)
 #: Each of a pair, alone; what the other leaves of it.
 _PAIR, _PAIR_LEAST = (7.0, 14.0), 6.0
 #: How often a part of the simulator is withheld in place of a cause.
 _PARTS = 0.2
 #: Draws of a cause at most; after so many that reach no strength within what is plausible, noise is as small as can be.
-_TRIES, _QUIET = 90, 30
+TRIES, _QUIET = 90, 30
 
 
 @dataclass(frozen=True)
@@ -91,15 +92,19 @@ def case(split: str, seed: int, index: int, regions: int = 5, frames: str = "cli
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     noise = str(rng.choice(list(KINDS)))
     share, freedom = KINDS[noise]
-    scene = Scene(rng, draw_subject(rng, regions, frames), Simulator(), float(rng.choice(_PERCENT)), share)
+    scene = Scene(rng, draw_subject(rng, regions, frames), Simulator(), float(rng.choice(PERCENT)), share)
     subject, simulator, answer = _answer(scene, kind, split, noise)
     noise_law = replace(scene, percent=answer.percent).law(answer.clean)
-    values = noisy(answer.clean, noise_law, freedom, rng)
-    names = tuple(f"region{r + 1}" for r in range(regions))
+    return scan_of(subject, simulator, noisy(answer.clean, noise_law, freedom, rng)), answer
+
+
+def scan_of(subject: Subject, simulator: Simulator, values: Array) -> Scan:
+    """Curves (R, K) of a subject, as the product is given them."""
+    names = tuple(f"region{r + 1}" for r in range(len(values)))
     parts = (("blood_volume", simulator.blood_volume), ("arterial_delay", simulator.delay))
     includes = tuple(name for name, there in parts if there)
     model = "2tcm" if simulator.second_tissue else "1tcm"
-    return Scan(names, subject.frames, values, subject.blood, model, includes), answer
+    return Scan(names, subject.frames, values, subject.blood, model, includes)
 
 
 def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, Simulator, Answer]:
@@ -113,7 +118,7 @@ def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, S
         made = withheld_part(scene)
     else:
         causes = {"known": KNOWN, "other form": OTHER_FORMS[split], "unknown": UNKNOWN[split]}[kind]
-        made = _single(scene, causes, of_unknown=kind == "unknown")
+        made = single(scene, causes, of_unknown=kind == "unknown")
     scene = replace(scene, subject=made.subject, simulator=made.simulator, percent=made.percent)
     cause = made.cause
     names, same, ceiling = (), (), 0.0
@@ -149,30 +154,37 @@ def _frame_of(made: Made) -> int:
 
 
 def _quieter(scene: Scene, attempt: int) -> Scene:
-    return replace(scene, percent=_PERCENT[0]) if attempt >= _QUIET else scene
+    return replace(scene, percent=PERCENT[0]) if attempt >= _QUIET else scene
 
 
-def _single(scene: Scene, causes: tuple[Cause, ...], *, of_unknown: bool = False) -> Made:
-    """A cause that reaches its strength within what is plausible; of an unknown one, beyond all weak known ones."""
-    for attempt in range(_TRIES):
+def single(scene: Scene, causes: Sequence[Cause], *, target: float | None = None, of_unknown: bool = False) -> Made:
+    """A cause that reaches its strength within what is plausible; of an unknown one, beyond all weak known ones.
+
+    Args:
+        scene: where; where none reaches it for long, in less noise.
+        causes: of which it is one.
+        target: d'; None for one drawn anew with every cause.
+        of_unknown: whether the strength is that beyond known ones.
+    """
+    for attempt in range(TRIES):
         scene = _quieter(scene, attempt)
         cause = causes[int(scene.rng.integers(len(causes)))]
-        target = drawn_target(scene)
-        made = scaled(scene, cause, draw(scene.rng, scene.subject), target)
+        wanted = drawn_target(scene) if target is None else target
+        made = scaled(scene, cause, draw(scene.rng, scene.subject), wanted)
         if made is None or not of_unknown:
             if made is not None:
                 return made
             continue
         left = perpendicular(made.seen.left, [c for _, c in columns_of(scene, made, finely=True)])
-        stronger = scaled(scene, cause, made.drawn, target * made.seen.detectability / max(left, 1e-9))
+        stronger = scaled(scene, cause, made.drawn, wanted * made.seen.detectability / max(left, 1e-9))
         if stronger is not None:
             return stronger
-    raise RuntimeError(f"No cause reached its strength in {_TRIES} draws.")
+    raise RuntimeError(f"No cause reached its strength in {TRIES} draws.")
 
 
 def _pair(scene: Scene, noise: str) -> tuple[Subject, Simulator, Answer]:
     usual = tuple(c for c in KNOWN if not c.flag)
-    for attempt in range(_TRIES):
+    for attempt in range(TRIES):
         scene = _quieter(scene, attempt)
         made: list[Made] = []
         for k in scene.rng.choice(len(usual), 2, replace=False):
@@ -204,4 +216,4 @@ def _pair(scene: Scene, noise: str) -> tuple[Subject, Simulator, Answer]:
             clean=values,
         )
         return scene.subject, scene.simulator, answer
-    raise RuntimeError(f"No two causes reached their strengths in {_TRIES} draws.")
+    raise RuntimeError(f"No two causes reached their strengths in {TRIES} draws.")

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Diagnosis
+from petkin.diagnosis import Cohort, Diagnosis
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.detect import statistic
 from petkin.diagnosis.diagnose import scan_of
@@ -67,13 +67,7 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
     leader = found.causes[0] if found.causes else None
     closed = None if leader is None else leader.closure
     frame = onset_frame(found, simulator)
-    return {
-        "verdict": found.kind,
-        "p_value": found.p_value,
-        "leader": "" if leader is None else leader.label,
-        "leader_probability": 0.0 if leader is None else leader.probability,
-        "set": ";".join(found.chosen),
-        "set_probability": found.set_probability,
+    return said_of(found) | {
         "unknown_probability": found.unknown,
         "stage": next(iter(found.stages), ""),
         "onset_frame": -1 if frame is None else frame,
@@ -85,6 +79,19 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         "closure_high": "" if closed is None else closed.high,
         "closed": "" if leader is None else _closed(found, simulator, clean),
         "seconds": round(seconds, 3),
+    }
+
+
+def said_of(found: Diagnosis | Cohort) -> dict[str, object]:
+    """The verdict on a scan or on several."""
+    leader = found.causes[0] if found.causes else None
+    return {
+        "verdict": found.kind,
+        "p_value": found.p_value,
+        "leader": "" if leader is None else leader.label,
+        "leader_probability": 0.0 if leader is None else leader.probability,
+        "set": ";".join(found.chosen),
+        "set_probability": found.set_probability,
     }
 
 

@@ -118,17 +118,18 @@ def metrics(cases: Sequence[Judged]) -> list[Metric]:
     ]
 
 
-def _share(name: str, hits: Iterable[bool], bar: float | None = None, side: str = ">=") -> Metric:
+def share_of(name: str, hits: Iterable[bool], bar: float | None = None, side: str = ">=") -> Metric:
+    """Share of the hits."""
     found = list(hits)
     return Metric(name, float(np.mean(found)) if found else float("nan"), len(found), bar, side)
 
 
 def _alarms(nulls: Sequence[Judged]) -> list[Metric]:
     each = [
-        _share(f"false alarms, {kind}", (c.claimed for c in nulls if c.cells["noise"] == kind), 0.05, "<=")
+        share_of(f"false alarms, {kind}", (c.claimed for c in nulls if c.cells["noise"] == kind), 0.05, "<=")
         for kind in KINDS
     ]
-    return [*each, _share("false alarms, all", (c.claimed for c in nulls), 0.05, "<=")]
+    return [*each, share_of("false alarms, all", (c.claimed for c in nulls), 0.05, "<=")]
 
 
 def _by_strength(single: Sequence[Judged]) -> list[Metric]:
@@ -140,11 +141,11 @@ def _by_strength(single: Sequence[Judged]) -> list[Metric]:
         ceiling = float(np.mean([c.number("ceiling") for c in part])) if part else float("nan")
         allowed = 0.15 if low < BINS[0][1] else 0.05
         found += [
-            _share(f"gap claimed, {name}", (c.claimed for c in part)),
+            share_of(f"gap claimed, {name}", (c.claimed for c in part)),
             Metric(f"matched filter, {name}", ceiling, len(part)),
             of_reader(f"must find settings, {name}", part, "ideal"),
             of_reader(f"must find settings and claim, {name}", part, "ideal_claimed"),
-            _share(f"class first, {name}", (c.right for c in part), ceiling - allowed),
+            share_of(f"class first, {name}", (c.right for c in part), ceiling - allowed),
         ]
     return found
 
@@ -159,10 +160,10 @@ def _sets(strong: Sequence[Judged]) -> list[Metric]:
     told = [c for c in strong if c.words("set")]
     sizes = [len(c.words("set")) for c in told]
     return [
-        _share("set covers, d' >= 6, at least", (c.covered for c in strong), 0.87),
-        _share("set covers, d' >= 6, at most", (c.covered for c in strong), 0.93, "<="),
+        share_of("set covers, d' >= 6, at least", (c.covered for c in strong), 0.87),
+        share_of("set covers, d' >= 6, at most", (c.covered for c in strong), 0.93, "<="),
         Metric("set size, median", float(np.median(sizes)) if sizes else float("nan"), len(sizes), 2.0, "<="),
-        _share("set size <= class + 1", (n <= len(c.classes[0]) + 1 for n, c in zip(sizes, told)), 0.9),
+        share_of("set size <= class + 1", (n <= len(c.classes[0]) + 1 for n, c in zip(sizes, told)), 0.9),
     ]
 
 
@@ -172,19 +173,19 @@ def _places(strong: Sequence[Judged]) -> list[Metric]:
     inside = [c.cells["region"] in c.words("regions") for c in local]
     told = sum(len(c.words("regions")) for c in local)
     return [
-        _share("stage first, d' >= 6", (c.cells["stage"] == c.cells["stages"] for c in strong), 0.85),
-        _share("onset within a frame", (abs(c.number("onset_frame") - c.number("frame")) <= 1 for c in timed), 0.9),
+        share_of("stage first, d' >= 6", (c.cells["stage"] == c.cells["stages"] for c in strong), 0.85),
+        share_of("onset within a frame", (abs(c.number("onset_frame") - c.number("frame")) <= 1 for c in timed), 0.9),
         Metric("regions: precision", sum(inside) / max(told, 1), told, 0.9),
-        _share("regions: recall", inside, 0.9),
+        share_of("regions: recall", inside, 0.9),
     ]
 
 
 def _pairs(pairs: Sequence[Judged]) -> list[Metric]:
     named = [c.hits(c.cells["leader"]) for c in pairs]
     return [
-        _share("pairs: both named", (n == 2 for n in named), 0.7),
-        _share("pairs: one named", (n >= 1 for n in named), 0.95),
-        _share("pairs: both in the set", (c.covered for c in pairs)),
+        share_of("pairs: both named", (n == 2 for n in named), 0.7),
+        share_of("pairs: one named", (n >= 1 for n in named), 0.95),
+        share_of("pairs: both in the set", (c.covered for c in pairs)),
     ]
 
 
@@ -195,12 +196,12 @@ def _unknown(alien: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
     limit = max(float(np.quantile(of_known, 0.9)), 0.0) if len(of_known) else 1.0
     sure = (c.number("leader_probability") > _SURE and c.cells["verdict"] in ("named", "ambiguous") for c in alien)
     return [
-        _share("unknown: gap claimed", (c.claimed for c in alien)),
-        _share("unknown: recall", (c.cells["verdict"] == "unknown" for c in alien), 0.8),
-        _share("unknown: recall at 0.10 of known rejected", (p > limit for p in of_alien), 0.56),
-        _share("unknown: known rejected", (c.cells["verdict"] == "unknown" for c in strong), 0.1, "<="),
+        share_of("unknown: gap claimed", (c.claimed for c in alien)),
+        share_of("unknown: recall", (c.cells["verdict"] == "unknown" for c in alien), 0.8),
+        share_of("unknown: recall at 0.10 of known rejected", (p > limit for p in of_alien), 0.56),
+        share_of("unknown: known rejected", (c.cells["verdict"] == "unknown" for c in strong), 0.1, "<="),
         Metric("unknown: AUROC", auroc(of_alien, of_known), len(alien), 0.9),
-        _share("unknown: named with p > 0.9", sure, 0.05, "<="),
+        share_of("unknown: named with p > 0.9", sure, 0.05, "<="),
     ]
 
 
@@ -210,7 +211,7 @@ def _by_perpendicular(alien: Sequence[Judged]) -> list[Metric]:
     for low, above in pairwise((0.0, _BEYOND, 8.0, 12.0, np.inf)):
         part = [c for c in alien if low <= c.number("perpendicular") < above]
         name = f"unknown: recall at d' beyond {low:g}-{above:g}"
-        found.append(_share(name, (c.cells["verdict"] == "unknown" for c in part)))
+        found.append(share_of(name, (c.cells["verdict"] == "unknown" for c in part)))
     return found
 
 
@@ -222,14 +223,19 @@ def auroc(positive: Array, negative: Array) -> float:
     return float((above > 0).mean() + 0.5 * (above == 0).mean())
 
 
-def _calibration(cases: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
+def calibration_of(cases: Sequence[Judged]) -> Metric:
+    """How far sets are from holding what they say, of all that are told."""
     told = [c for c in cases if c.words("set")]
     said, true = np.array([c.number("set_probability") for c in told]), np.array([float(c.covered) for c in told])
+    return Metric("calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<=")
+
+
+def _calibration(cases: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
     first, hit = np.array([c.number("leader_probability") for c in strong]), np.array([float(c.right) for c in strong])
     prior = 1.0 / len(KNOWN)
     skill = 1.0 - float(np.mean((first - hit) ** 2) / np.mean((prior - hit) ** 2)) if strong else float("nan")
     return [
-        Metric("calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<="),
+        calibration_of(cases),
         Metric("Brier skill of the leader over equal chances", skill, len(strong), 0.6),
     ]
 
@@ -246,10 +252,10 @@ def _closure(told: Sequence[Judged]) -> list[Metric]:
     near = [abs(c.number("closure") - c.number("closed")) <= 0.1 for c in told]
     held = [c.number("closure_low") - 1e-9 <= c.number("closed") <= c.number("closure_high") + 1e-9 for c in told]
     return [
-        _share("closure within 0.10", near, 0.9),
-        _share("closure interval covers, at least", held, 0.85),
-        _share("closure interval covers, at most", held, 0.95, "<="),
-        _share("right cause closes 0.9 of the gap", (c.number("closed") >= 0.9 for c in told if c.right), 0.9),
+        share_of("closure within 0.10", near, 0.9),
+        share_of("closure interval covers, at least", held, 0.85),
+        share_of("closure interval covers, at most", held, 0.95, "<="),
+        share_of("right cause closes 0.9 of the gap", (c.number("closed") >= 0.9 for c in told if c.right), 0.9),
     ]
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from petkin_bench.withheld.cases import SPLITS, Scan
-from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, Cause, draw
+from petkin_bench.withheld.cases import PERCENT, SPLITS, TRIES, Scan, scan_of, single
+from petkin_bench.withheld.causes import KNOWN, OTHER_FORMS, draw
 from petkin_bench.withheld.classes import class_of, columns_of
-from petkin_bench.withheld.making import Made, Scene, made_of, scaled
+from petkin_bench.withheld.making import Made, Scene, made_of
 from petkin_bench.withheld.noise import KINDS, noisy
 from petkin_bench.withheld.observe import observe
 from petkin_bench.withheld.subject import draw_subject
@@ -28,8 +28,6 @@ _KINDS = {"none": 0.2, "all": 0.3, "some": 0.3, "apart": 0.2}
 BINS, _APART, _OTHER_FORM = ((2.0, 4.0), (4.0, 6.0), (6.0, 10.0)), (5.0, 10.0), 0.25
 #: Standard deviation of the logarithm of sizes; how often a scan has what only some have, and how many do at least.
 SPREAD, SHARE, _LEAST = 0.25, 0.5, 2
-_PERCENT = (1.0, 2.0, 4.0)
-_TRIES, _QUIET = 90, 30
 #: What sets cohorts apart from single scans of the same seed.
 _STREAM = 11
 
@@ -65,7 +63,7 @@ def cohort_case(split: str, seed: int, index: int, scans: int, regions: int = 5)
     rng = np.random.default_rng([SPLITS[split], seed, index, _STREAM])
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     noise = str(rng.choice(list(KINDS)))
-    percent = float(rng.choice(_PERCENT))
+    percent = float(rng.choice(PERCENT))
     scenes = _scenes(rng, percent, noise, scans, regions)
     if kind in ("all", "some"):
         return _shared(scenes, split, kind, noise)
@@ -90,7 +88,8 @@ def _shared(scenes: list[Scene], split: str, kind: str, noise: str) -> tuple[lis
     holds = np.ones(len(scenes), bool)
     while kind == "some" and not _LEAST <= holds.sum() < len(scenes):
         holds = rng.random(len(scenes)) < SHARE
-    scenes, first = _at_strength(scenes, causes, float(rng.uniform(*BINS[int(rng.integers(len(BINS)))])))
+    first = single(scenes[0], causes, target=float(rng.uniform(*BINS[int(rng.integers(len(BINS)))])))
+    scenes = [replace(scene, percent=first.percent) for scene in scenes]
     made: list[Made | None] = []
     for scene, held in zip(scenes, holds, strict=True):
         drawn = replace(draw(rng, scene.subject), sign=first.drawn.sign, length=first.drawn.length)
@@ -112,19 +111,6 @@ def _shared(scenes: list[Scene], split: str, kind: str, noise: str) -> tuple[lis
     return _scans(scenes, made, noise), answer
 
 
-def _at_strength(scenes: list[Scene], causes: list[Cause], target: float) -> tuple[list[Scene], Made]:
-    """A cause that is so visible in the first scan within what is plausible; where none is, in less noise."""
-    rng = scenes[0].rng
-    for attempt in range(_TRIES):
-        if attempt == _QUIET:
-            scenes = [replace(scene, percent=_PERCENT[0]) for scene in scenes]
-        cause = causes[int(rng.integers(len(causes)))]
-        found = scaled(scenes[0], cause, draw(rng, scenes[0].subject), target)
-        if found is not None:
-            return scenes, found
-    raise RuntimeError(f"No cause reached its strength in {_TRIES} draws.")
-
-
 def _apart(scenes: list[Scene]) -> list[Made]:
     """In every scan a cause that no other scan's could be taken for, at a strength that one scan shows."""
     found: list[Made] = []
@@ -139,21 +125,20 @@ def _apart(scenes: list[Scene]) -> list[Made]:
 def _unlike(scene: Scene, taken: set[str]) -> tuple[Made, set[str]]:
     """A cause whose class has none of these, and that class."""
     left = [c for c in KNOWN if not c.flag and c.name not in taken]
-    for _ in range(_TRIES):
-        (there,), made = _at_strength([scene], left, float(scene.rng.uniform(*_APART)))
+    for _ in range(TRIES):
+        made = single(scene, left, target=float(scene.rng.uniform(*_APART)))
+        there = replace(scene, percent=made.percent)
         same = set(class_of(made, there.law(made.values), columns_of(there, made)))
         if not same & taken:
             return made, same
-    raise RuntimeError(f"No cause of a class of its own in {_TRIES} draws.")
+    raise RuntimeError(f"No cause of a class of its own in {TRIES} draws.")
 
 
 def _scans(scenes: list[Scene], made: Sequence[Made | None], noise: str) -> list[Scan]:
     """What the product is given of each."""
     found = []
     for scene, m in zip(scenes, made, strict=True):
-        subject, clean = scene.subject, observe(scene.subject) if m is None else m.values
+        clean = observe(scene.subject) if m is None else m.values
         law = (scene if m is None else replace(scene, percent=m.percent)).law(clean)
-        values = noisy(clean, law, KINDS[noise][1], scene.rng)
-        names = tuple(f"region{r + 1}" for r in range(len(values)))
-        found.append(Scan(names, subject.frames, values, subject.blood, "2tcm", ("blood_volume", "arterial_delay")))
+        found.append(scan_of(scene.subject, scene.simulator, noisy(clean, law, KINDS[noise][1], scene.rng)))
     return found

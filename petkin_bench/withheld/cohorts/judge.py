@@ -11,7 +11,7 @@ from petkin.study.diagnose import ALWAYS
 from petkin.study.diagnosis.judging import diagnose_curves, laws_in_common
 from petkin.study.diagnosis.regional import hypotheses
 from petkin_bench.withheld.cases import Scan
-from petkin_bench.withheld.judge import simulator_of
+from petkin_bench.withheld.judge import said_of, simulator_of
 
 
 def cohort_verdict(scans: Sequence[Scan], *, seed: int, draws: int) -> dict[str, object]:
@@ -34,13 +34,7 @@ def cohort_verdict(scans: Sequence[Scan], *, seed: int, draws: int) -> dict[str,
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     mean = None if leader is None else leader.mean
-    return {
-        "verdict": found.kind,
-        "p_value": found.p_value,
-        "leader": "" if leader is None else leader.label,
-        "leader_probability": 0.0 if leader is None else leader.probability,
-        "set": ";".join(found.chosen),
-        "set_probability": found.set_probability,
+    return said_of(found) | {
         "carriers": "" if leader is None else ";".join(f"{share:.4f}" for share in leader.carriers),
         "prevalence_low": "" if leader is None else leader.prevalence.low,
         "prevalence_high": "" if leader is None else leader.prevalence.high,

@@ -1,7 +1,7 @@
 """Metrics of cohorts: what several scans say together beside what each says alone.
 
-A shared cause is right when it is in the class of what was withheld. A cause that none but one scan carries is not
-called shared.
+A shared cause is right when it is in the class of what was withheld. A cause that one scan
+alone carries is not called shared.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin_bench.withheld.cohorts.cases import BINS, SHARE, SPREAD
-from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_error
+from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_of, share_of
 
 Array = NDArray[np.float64]
 
@@ -31,22 +31,20 @@ def cohort_metrics(cases: Sequence[Judged]) -> list[Metric]:
     apart = [c for c in cases if c.kind == "apart"]
     count = len(cases[0].cells["each"].split(";")) if cases else 0
     found = [
-        _share("false alarms", [c.claimed for c in cases if c.kind == "none"], 0.05, "<="),
-        _share("different causes called shared", [_several(c) for c in apart]),
+        share_of("false alarms", [c.claimed for c in cases if c.kind == "none"], 0.05, "<="),
+        share_of("different causes called shared", [_several(c) for c in apart]),
         *_by_strength(shared),
-        _share("set covers", [c.covered for c in shared if _middle(c) >= BINS[1][0]], 0.87),
-        _share("scans rightly said to carry it or not", [said for c in right for said in _told(c)]),
+        share_of("set covers", [c.covered for c in shared if _middle(c) >= BINS[1][0]], 0.87),
+        share_of("scans rightly said to carry it or not", [said for c in right for said in _told(c)]),
         _carriers([c for c in right if c.kind == "some"]),
-        _share("prevalence interval holds it, held by some", [_holds_prevalence(c) for c in right if c.kind == "some"]),
-        _share("interval of the mean size holds it", [_holds_size(c) for c in right if _is_sized(c)]),
-        _trust(cases),
+        share_of(
+            "prevalence interval holds it, held by some", [_holds_prevalence(c) for c in right if c.kind == "some"]
+        ),
+        share_of("interval of the mean size holds it", [_holds_size(c) for c in right if _is_sized(c)]),
+        calibration_of(cases),
         Metric("CPU s a scan, median", _seconds(cases), len(cases)),
     ]
     return [replace(metric, name=f"cohorts of {count}: {metric.name}") for metric in found]
-
-
-def _share(name: str, hits: Sequence[bool], bar: float | None = None, side: str = ">=") -> Metric:
-    return Metric(f"{name}", float(np.mean(hits)) if hits else float("nan"), len(hits), bar, side)
 
 
 def _numbers(case: Judged, column: str) -> Array:
@@ -70,8 +68,8 @@ def _by_strength(shared: Sequence[Judged]) -> list[Metric]:
         alone = [c.hits(label) > 0 for c in part for label in _of_holders(c)]
         for kind in ("all", "some"):
             mine = [c.right for c in part if c.kind == kind]
-            found.append(_share(f"class first, held by {kind}, d' {low:g}-{above:g}", mine))
-        found.append(_share(f"class first in a scan alone, d' {low:g}-{above:g}", alone))
+            found.append(share_of(f"class first, held by {kind}, d' {low:g}-{above:g}", mine))
+        found.append(share_of(f"class first in a scan alone, d' {low:g}-{above:g}", alone))
     return found
 
 
@@ -110,13 +108,6 @@ def _holds_size(case: Judged) -> bool:
     mean = abs(case.number("size")) * float(np.exp(0.5 * SPREAD**2))
     low, high = sorted((case.number("mean_low"), case.number("mean_high")))
     return low <= mean <= high or low <= -mean <= high
-
-
-def _trust(cases: Sequence[Judged]) -> Metric:
-    told = [c for c in cases if c.words("set")]
-    said = np.array([c.number("set_probability") for c in told])
-    true = np.array([float(bool(c.classes) and c.covered) for c in told])
-    return Metric("calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<=")
 
 
 def _seconds(cases: Sequence[Judged]) -> float:

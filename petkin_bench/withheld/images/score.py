@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from petkin_bench.withheld.images.cases import BINS
 from petkin_bench.withheld.noise import KINDS
-from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_error, of_reader
+from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_of, of_reader, share_of
 
 #: From here most bars hold; a strength beyond the catalogue from which a gap must be called unknown; a sure name.
 _STRONG, _BEYOND, _SURE = 6.0, 5.0, 0.9
@@ -27,7 +28,7 @@ def image_metrics(cases: Sequence[Judged]) -> list[Metric]:
         *_sets(strong),
         *_places(strong),
         *_unknown(alien, strong),
-        *_trust(cases),
+        replace(calibration_of(cases), name="images: calibration error of set_probability"),
         Metric("images: CPU s a scan, median", _middle([c.number("seconds") for c in cases]), len(cases)),
     ]
 
@@ -37,7 +38,7 @@ def _middle(values: Sequence[float]) -> float:
 
 
 def _share(name: str, hits: Sequence[bool], bar: float | None = None, side: str = ">=") -> Metric:
-    return Metric(f"images: {name}", float(np.mean(hits)) if hits else float("nan"), len(hits), bar, side)
+    return share_of(f"images: {name}", hits, bar, side)
 
 
 def _alarms(nulls: Sequence[Judged]) -> list[Metric]:
@@ -115,12 +116,4 @@ def _unknown(alien: Sequence[Judged], strong: Sequence[Judged]) -> list[Metric]:
         Metric("images: unknown: AUROC", auroc(of_alien, of_named), len(alien), 0.9),
         _share("unknown: named with p > 0.9", sure, 0.05, "<="),
         _share("unknown: known rejected", [c.cells["verdict"] == "unknown" for c in strong], 0.1, "<="),
-    ]
-
-
-def _trust(cases: Sequence[Judged]) -> list[Metric]:
-    told = [c for c in cases if c.words("set")]
-    said, true = np.array([c.number("set_probability") for c in told]), np.array([float(c.covered) for c in told])
-    return [
-        Metric("images: calibration error of set_probability", calibration_error(said, true), len(told), 0.05, "<=")
     ]

@@ -29,8 +29,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from petkin.diagnosis.any_gap import any_gap
+from petkin.diagnosis.detect import AgainstNoise
 from petkin.diagnosis.diagnose import CLAIM
 from petkin.diagnosis.evidence import SECOND, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
@@ -60,6 +61,7 @@ class Member:
         evidence: log evidence by explanation, "a" or "a+b".
         strengths: of single effects.
         alike: cosines by pair of explanations.
+        against: what speaks for a gap, against draws of noise.
     """
 
     label: str
@@ -67,13 +69,14 @@ class Member:
     evidence: Mapping[str, float]
     strengths: Mapping[str, Strength]
     alike: Mapping[frozenset[str], float]
+    against: AgainstNoise
 
     @classmethod
     def of(cls, label: str, found: Diagnosis) -> Member:
         """A diagnosis as a member of a cohort."""
         evidence = {name: value for name, (_, value) in found.evidence.items()}
         evidence |= {cause.label: cause.log_evidence for cause in found.likely}
-        return cls(label, found.p_value, evidence, found.strengths, found.alike)
+        return cls(label, found.p_value, evidence, found.strengths, found.alike, found.against)
 
     def holding(self, names: Sequence[str]) -> float:
         """Log evidence of all explanations that hold these effects, averaged over the pairs a second could make."""
@@ -166,7 +169,7 @@ def in_common(members: Sequence[Member]) -> Cohort:
     probability, unshared = _probabilities({c.label: c.log_evidence for c in found})
     ranked = sorted(found, key=lambda c: -c.log_evidence)
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE and c.log_evidence > 0][:_LISTED]
-    p = _together([m.p_value for m in members])
+    p = any_gap([m.p_value for m in members], [m.against for m in members])
     chosen: tuple[str, ...] = ()
     if p <= CLAIM and unshared < 0.5 and listed:
         chosen = smallest_set({c.label: probability[c.label] for c in listed}, _alike(members))
@@ -280,11 +283,6 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
 
 def _error(strength: Estimate) -> float:
     return max((strength.high - strength.low) / (2.0 * _Z90), 1e-6)
-
-
-def _together(p_values: Sequence[float]) -> float:
-    """Fisher's combined p-value."""
-    return float(chi2.sf(-2.0 * np.log(p_values).sum(), 2 * len(p_values)))
 
 
 def _alike(members: Sequence[Member]) -> dict[frozenset[str], float]:

@@ -12,7 +12,8 @@ Reference: Anau Montel N, Alvey J, Weniger C. Phys Rev D 2025;111:083013. arXiv:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,40 @@ _TAILS, _ROUNDS, _LOOKS = (np.inf, 8.0, 5.0, 3.5), 30, 2
 #: Share of draws that give a hypothesis no more than it is denied, if that speaks for it at all: fewer exceed it than a
 #: claim takes.
 _SELDOM = 0.985
+
+
+@dataclass(frozen=True)
+class AgainstNoise:
+    """What speaks for a gap, against what speaks for one in noise.
+
+    Args:
+        names: of the hypotheses; "" of a smooth discrepancy.
+        found: log evidence of each for the data (H,).
+        drawn: the same for draws of noise (n, H).
+    """
+
+    names: tuple[str, ...]
+    found: Array
+    drawn: Array
+
+    @property
+    def p_value(self) -> float:
+        """Of no gap."""
+        return p_value(float(statistic(self.found, self.drawn)), statistic(self.drawn, self.drawn))
+
+    @property
+    def p_values(self) -> Array:
+        """Of every draw among all (n,)."""
+        own = statistic(self.drawn, self.drawn)
+        return reached(own) / len(own)
+
+    def of(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """Log evidence of some hypotheses, nought of those that are not among its own."""
+        place = {name: i for i, name in enumerate(self.names)}
+        both = np.vstack([self.found, self.drawn])
+        columns = [both[:, place[name]] if name in place else np.zeros(len(both)) for name in names]
+        every = np.stack(columns, axis=-1)
+        return every[0], every[1:]
 
 
 def tails(residuals: Array) -> dict[float, float]:
@@ -112,6 +147,11 @@ def statistic(logs: Array, null: Array) -> Array:
         null: the same of draws of noise (b, H).
     """
     return evidence.mean(logs - np.maximum(np.quantile(null, _SELDOM, axis=0), 0.0))
+
+
+def reached(values: Array) -> NDArray[np.intp]:
+    """How many of these values (n,) are as large as each of them, itself counted."""
+    return len(values) - np.searchsorted(np.sort(values), values, side="left")
 
 
 def p_value(observed: float, null: Array) -> float:

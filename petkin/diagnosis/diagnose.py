@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible, foresee
-from petkin.diagnosis.detect import noise_draws, p_value, statistic, tails
+from petkin.diagnosis.detect import AgainstNoise, noise_draws, tails
 from petkin.diagnosis.effect import Hypothesis, Simulator
 from petkin.diagnosis.estimates import estimates, regions, setting, strengths
 from petkin.diagnosis.how_far import closure
@@ -48,13 +49,18 @@ class Detected:
         based: the simulator's fit, the noise, and what a flexible fit took and left.
         scan: every hypothesis around that fit.
         drawn: what the refit leaves of whitened draws of noise (n, C K).
-        p_value: share of the draws that look as much like a gap as the data.
+        against: what every hypothesis has for the data, and for the draws.
     """
 
     based: Base
     scan: Scan
     drawn: Array
-    p_value: float
+    against: AgainstNoise
+
+    @cached_property
+    def p_value(self) -> float:
+        """Share of the draws that look as much like a gap as the data."""
+        return self.against.p_value
 
     @property
     def present(self) -> bool:
@@ -63,7 +69,7 @@ class Detected:
     @property
     def strongest(self) -> float:
         """Log evidence of the likeliest hypothesis before any refit."""
-        return float(self.scan.evidence(self.based[0].residual).max())
+        return float(self.against.found.max())
 
 
 def _silent(_: str, __: float) -> None:
@@ -141,9 +147,8 @@ def detect(
     based = base_fit(simulator, data) if based is None else based
     scan = scan_of(simulator, based[1], based[0], hypotheses)
     drawn = draws_left(np.random.default_rng(seed), draws, based, scan.projection)
-    null = scan.evidence(drawn)
-    observed = float(statistic(scan.evidence(based[0].residual), null))
-    return Detected(based, scan, drawn, p_value(observed, statistic(null, null)))
+    against = AgainstNoise(scan.names, scan.evidence(based[0].residual), scan.evidence(drawn))
+    return Detected(based, scan, drawn, against)
 
 
 def draws_left(
@@ -280,6 +285,7 @@ def _verdict(
         visible=foresee(simulator, noise, base, explained.scan.templates),
         alike=alike,
         likely=causes,
+        against=detected.against,
     )
 
 

@@ -162,6 +162,11 @@ class Scan:
             place += count
         return found
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the hypotheses, and "" of a smooth discrepancy, as `evidence` has them."""
+        return (*dict.fromkeys(t.hypothesis.name for t in self.templates), "")
+
     def evidence(self, residuals: Array) -> Array:
         """log evidence of every hypothesis, and of a smooth discrepancy (..., H + 1)."""
         found = [*self.by_hypothesis(self.each(residuals)).values(), self.unknown(residuals)]

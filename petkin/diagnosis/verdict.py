@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible
+from petkin.diagnosis.detect import AgainstNoise
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.where import Place
@@ -87,6 +88,7 @@ class Diagnosis:
         visible: what this design could tell.
         alike: cosines by pair of causes.
         likely: the likeliest causes whether or not there is a gap, for what several data sets have in common.
+        against: what speaks for a gap in the data and in noise, for the same.
     """
 
     channels: tuple[str, ...]
@@ -109,7 +111,8 @@ class Diagnosis:
     unknown_place: str
     visible: tuple[Visible, ...]
     alike: dict[frozenset[str], float]
-    likely: tuple[Cause, ...] = ()
+    likely: tuple[Cause, ...]
+    against: AgainstNoise
 
     @property
     def kind(self) -> str:

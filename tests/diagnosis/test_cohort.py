@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from petkin.diagnosis import Cohort, Member, Strength, Term, diagnose, in_common
+from petkin.diagnosis.detect import AgainstNoise
 from petkin.diagnosis.evidence import two_sided
 
 from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
@@ -13,6 +14,10 @@ from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measure
 SIMULATOR = DecayingChannels()
 #: An offset that most data sets do not show alone.
 WEAK = 0.04
+
+
+#: Of members that are made by hand: their p-values speak for them.
+NOISE = AgainstNoise(("offset", "ripple"), np.zeros(2), np.random.default_rng(0).standard_normal((200, 2)))
 
 
 def members(strengths: list[float], seed: int, name: str = "ripple") -> list[Member]:
@@ -85,7 +90,7 @@ def test_that_two_could_have_the_same_of_many_causes_is_no_wonder(holders: int, 
 
     def one(i: int) -> Member:
         evidence = {f"cause{k}": -4.0 for k in range(28)} | {f"cause{i}": 15.0}
-        return Member(f"m{i}", 0.001, evidence | ({"cause20": 15.0} if i < holders else {}), {}, {})
+        return Member(f"m{i}", 0.001, evidence | ({"cause20": 15.0} if i < holders else {}), {}, {}, NOISE)
 
     cohort = in_common([one(i) for i in range(6)])
     assert cohort.present
@@ -96,7 +101,7 @@ def test_that_two_could_have_the_same_of_many_causes_is_no_wonder(holders: int, 
 
 def test_none_is_shared_or_any_cause_alike_beforehand() -> None:
     """Where members say nothing of any."""
-    members = [Member(f"m{i}", 0.001, {f"cause{k}": 0.0 for k in range(28)}, {}, {}) for i in range(6)]
+    members = [Member(f"m{i}", 0.001, {f"cause{k}": 0.0 for k in range(28)}, {}, {}, NOISE) for i in range(6)]
     assert in_common(members).unshared == pytest.approx(0.5, abs=0.02)
 
 
@@ -104,7 +109,7 @@ def member(label: str, evidence: float, strength: float, *, single: bool = True)
     """A data set whose offset has this evidence and strength, with an error of 1, beside an effect that it lacks."""
     width = 1.6448536269514722
     found = Strength("amplitude", "1", strength, strength - width, strength + width, signed=True, single=single)
-    return Member(label, 0.05, {"offset": evidence, "ripple": -3.0}, {"offset": found}, {})
+    return Member(label, 0.05, {"offset": evidence, "ripple": -3.0}, {"offset": found}, {}, NOISE)
 
 
 def told(*strengths: float, single: bool = True) -> float:
@@ -147,6 +152,6 @@ def _mixed(own: np.ndarray, background: np.ndarray, prevalences: np.ndarray) -> 
 def test_a_pair_that_one_member_has_is_not_what_all_share() -> None:
     """However far it is ahead there: what any data set may have holds pairs too."""
     usual = [member(f"m{i}", 6.0, 3.0) for i in range(5)]
-    odd = Member("odd", 0.01, {"offset": 20.0, "ripple": 10.0, "ripple+tilt": 300.0}, {}, {})
+    odd = Member("odd", 0.01, {"offset": 20.0, "ripple": 10.0, "ripple+tilt": 300.0}, {}, {}, NOISE)
     assert in_common([*usual, odd]).chosen == ("offset",)
     assert in_common([*usual, odd]).causes[0].carriers[-1] < 0.1

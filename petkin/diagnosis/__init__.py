@@ -2,11 +2,12 @@
 
 from petkin.diagnosis.alone import each_alone
 from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
-from petkin.diagnosis.contrasts import Contrasted, Pattern, judge_contrasts
+from petkin.diagnosis.contrasts import Best, Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import Visible, indistinct
-from petkin.diagnosis.diagnose import CLAIM, DRAWS, Detected, detect, diagnose, draws_left, foresee_design
+from petkin.diagnosis.detect import CLAIM
+from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
 from petkin.diagnosis.families import Family, holding
 from petkin.diagnosis.noise import second_differences
@@ -16,6 +17,7 @@ from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states
 from petkin.diagnosis.unknown import DRIVE, ONE, WITHIN, Elsewhere
 from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate, Strength
+from petkin.diagnosis.where import PART
 
 __all__ = [
     "ALIKE",
@@ -23,8 +25,10 @@ __all__ = [
     "DRAWS",
     "DRIVE",
     "ONE",
+    "PART",
     "WITHIN",
     "Base",
+    "Best",
     "Cause",
     "Cohort",
     "Contrasted",

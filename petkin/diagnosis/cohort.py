@@ -31,8 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis.any_gap import any_gap
-from petkin.diagnosis.detect import AgainstNoise
-from petkin.diagnosis.diagnose import CLAIM
+from petkin.diagnosis.detect import CLAIM, AgainstNoise
 from petkin.diagnosis.evidence import SECOND, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.sets import smallest_set

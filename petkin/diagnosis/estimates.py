@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.special import erfc
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term
-from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.refit import Fit, shape_of
 from petkin.diagnosis.scan import Scan, starts
 from petkin.diagnosis.verdict import Estimate, Strength
 from petkin.diagnosis.where import Place, benjamini_hochberg
@@ -20,30 +20,89 @@ from petkin.diagnosis.which import Candidate, columns_of, informed
 
 Array = NDArray[np.float64]
 
+#: Quantile of a 90 % interval.
 _Z90 = 1.6448536269514722
 #: Standard error of a median over that of a mean, of many normal values: sqrt(pi / 2).
 _OF_MEDIAN = float(np.sqrt(np.pi / 2.0))
+#: Onsets asked: how far from the fitted one, in errors of its logarithm, which lie between these; how many over all
+#: times; and how finely what lies between is drawn.
+_NEAR, _WIDTHS = np.array([0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0]), (0.004, 0.3)
+_ACROSS, _FINE = 9, 2000
+#: An amplitude that is none.
+_NOTHING = 1e-9
 #: Amplitudes below this share of their range change values by their slope.
 _SLIGHT = 0.02
 
 
-def estimates(candidate: Candidate, simulator: Simulator, base: Fit) -> tuple[Estimate, ...]:
+def estimates(candidate: Candidate, simulator: Simulator, base: Fit, noise: Noise) -> tuple[Estimate, ...]:
+    """Amplitude, onset and numbers of every effect of a cause, one effect after the other."""
     fit = candidate.fit
     if fit is None:
         return ()
-    known = len(base.state.terms)
-    covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))
-    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known, error = len(base.state.terms), _errors(fit)
     found: list[Estimate] = []
-    for term, place in zip(fit.state.terms[known:], columns_of(fit, len(simulator.channels), known)):
-        found.append(_amplitude(term, error[place[""]] if "" in place else np.zeros(0)))
-        if "onset" in term.setting:
-            width = _Z90 * float(error[place["onset"]][0]) if "onset" in place else 0.0
-            onset = float(term.setting["onset"])
-            found.append(Estimate("onset", "min", onset, max(onset - width, 0.0), onset + width))
+    placed = zip(fit.state.terms[known:], columns_of(fit, len(simulator.channels), known))
+    for term, place in sorted(placed, key=lambda both: both[0].hypothesis.name):
+        name = term.hypothesis.name
+        found.append(_amplitude(term, error[place[""]] if "" in place else np.zeros(0), simulator.channels))
+        if "onset" in place:
+            found.append(_onset(term, fit, place, simulator, noise))
         numbers = (symbol for symbol in ("frame", "axis") if symbol in term.setting)
-        found += [Estimate(symbol, "1", *(3 * [float(term.setting[symbol])])) for symbol in numbers]
+        found += [Estimate(symbol, "1", *(3 * [float(term.setting[symbol])]), effect=name) for symbol in numbers]
     return tuple(found)
+
+
+def _errors(fit: Fit) -> Array:
+    """Standard errors of all coordinates of a fit, by its curvature."""
+    covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def _onset(term: Term, fit: Fit, places: Mapping[str, slice], simulator: Simulator, noise: Noise) -> Estimate:
+    """With the interval that holds 0.9 of its probability, any time as likely beforehand.
+
+    Values bend where an onset passes from one sample to the next, so that the curvature at the fit says little. What
+    they are at another onset t is predicted; amplitudes and all else follow by one linear step:
+
+        ln p(t) = -1/2 min_x { |r - d(t) - J(t) x|^2 + prior }
+    """
+    onset, bounds = float(term.setting["onset"]), shape_of(term, "onset")
+    width = float(np.clip(_errors(fit)[places["onset"]][0], *_WIDTHS))
+    near = np.concatenate([-_NEAR[::-1], np.zeros(1), _NEAR])
+    times = np.union1d(np.linspace(bounds.lower, bounds.upper, _ACROSS), onset * np.exp(width * near))
+    times = times[(times >= bounds.lower) & (times <= bounds.upper)]
+    amplitude = np.asarray(term.amplitude, np.float64)
+    without = _predicted(simulator, fit, term, replace(term, amplitude=0.0 * amplitude))
+    log = np.empty(len(times))
+    for i, time in enumerate(times):
+        there = _predicted(simulator, fit, term, replace(term, setting={**term.setting, "onset": time}))
+        jacobian = fit.jacobian.copy()
+        jacobian[:, places["onset"]] = 0.0
+        jacobian[:, places[""]] = _per_amplitude(there - without, amplitude, noise, fit.jacobian[:, places[""]])
+        left = fit.residual - noise.whiten(there - fit.values)
+        slope = jacobian.T @ left + np.sqrt(fit.penalty) * fit.pulled
+        normal = jacobian.T @ jacobian + np.diag(fit.penalty)
+        normal[places["onset"], places["onset"]] = 1.0
+        log[i] = 0.5 * (slope @ np.linalg.solve(normal, slope) - left @ left)
+    fine = np.union1d(times, np.linspace(times[0], times[-1], _FINE))
+    density = np.exp(np.interp(fine, times, log - log.max()))
+    below = np.concatenate([np.zeros(1), np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fine))])
+    low, high = np.interp([0.05 * below[-1], 0.95 * below[-1]], below, fine)
+    return Estimate("onset", "min", onset, min(float(low), onset), max(float(high), onset), effect=term.hypothesis.name)
+
+
+def _predicted(simulator: Simulator, fit: Fit, term: Term, other: Term) -> Array:
+    """What a fit would predict with another term in place of one of its own (C, K)."""
+    terms = tuple(other if t is term else t for t in fit.state.terms)
+    return simulator.predict(fit.state.own, fit.state.shared, terms)
+
+
+def _per_amplitude(change: Array, amplitude: Array, noise: Noise, slopes: Array) -> Array:
+    """Whitened change (C, K) over the amplitude that makes it, one column or one a channel; slopes of none."""
+    local = np.eye(len(change))[:, :, None] * change[None] if amplitude.ndim else change[None]
+    some = np.abs(np.atleast_1d(amplitude)) > _NOTHING
+    columns = noise.whiten(local / np.where(some, np.atleast_1d(amplitude), 1.0)[:, None, None]).T
+    return np.where(some, columns, slopes)
 
 
 def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator, base: Fit) -> dict[str, Strength]:
@@ -52,38 +111,40 @@ def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator,
     found = {}
     for candidate in (c for c in candidates if len(c.names) == 1):
         if candidate.fit is not None:
-            term, one = candidate.terms[0], estimates(candidate, simulator, base)[0]
+            (place,) = columns_of(candidate.fit, len(simulator.channels), len(base.state.terms))
+            term = candidate.fit.state.terms[-1]
+            one = _amplitude(term, _errors(candidate.fit)[place.get("", slice(0))], simulator.channels)
         else:
-            term, one = _from_scan(scan, base.residual, each, candidate.label)
+            term, one = _from_scan(scan, base.residual, each, candidate.label, simulator.channels)
         h = term.hypothesis
         single = not h.flag and (h.alike or not h.by_channel)
-        found[candidate.label] = Strength(one.symbol, one.unit, one.value, one.low, one.high, h.signed, single)
+        found[candidate.label] = Strength(**vars(one), signed=h.signed, single=single)
     return found
 
 
-def _from_scan(scan: Scan, residual: Array, each: Array, name: str) -> tuple[Term, Estimate]:
+def _from_scan(scan: Scan, residual: Array, each: Array, name: str, channels: Sequence[str]) -> tuple[Term, Estimate]:
     errors = np.sqrt(np.diag(np.linalg.inv(scan.information(scan.best(each, name)))))
     term = starts(scan, residual, each, name)[0]
-    return term, _amplitude(term, errors)
+    return term, _amplitude(term, errors, channels)
 
 
-def _amplitude(term: Term, errors: Array) -> Estimate:
-    """One number with its 90 % interval: of amplitudes that differ between channels the clearest, or the median of an
-    effect that all channels have about alike."""
-    hypothesis = term.hypothesis
+def _amplitude(term: Term, errors: Array, channels: Sequence[str]) -> Estimate:
+    """One number with its 90 % interval: of amplitudes that one channel may have alone the clearest, of those that are
+    about alike in all the mean, or the median where they differ."""
+    hypothesis, channel = term.hypothesis, ""
     if hypothesis.flag:
-        return Estimate("amplitude", "flag", 1.0, 1.0, 1.0)
+        return Estimate("amplitude", "flag", 1.0, 1.0, 1.0, effect=hypothesis.name)
     values = np.atleast_1d(np.asarray(term.amplitude, np.float64))
     errors = np.maximum(errors, 1e-12)
     weight = errors**-2.0 / (errors**-2.0).sum()
     mean, error = float(weight @ values), float((errors**-2.0).sum() ** -0.5)
-    if hypothesis.by_channel and np.ptp(values / errors) > 4.0 * _Z90:  # not one amplitude for all
-        if hypothesis.alike:
-            mean, error = float(np.median(values)), _OF_MEDIAN * float(values.std(ddof=1)) / values.size**0.5
-        else:
-            clearest = int(np.argmax(np.abs(values) / errors))
-            mean, error = float(values[clearest]), float(errors[clearest])
-    return Estimate("amplitude", hypothesis.unit, mean, mean - _Z90 * error, mean + _Z90 * error)
+    if hypothesis.by_channel and not hypothesis.alike:
+        clearest = int(np.argmax(np.abs(values) / errors))
+        mean, error, channel = float(values[clearest]), float(errors[clearest]), channels[clearest]
+    elif hypothesis.by_channel and np.ptp(values / errors) > 4.0 * _Z90:  # not one amplitude for all
+        mean, error = float(np.median(values)), _OF_MEDIAN * float(values.std(ddof=1)) / values.size**0.5
+    low, high = mean - _Z90 * error, mean + _Z90 * error
+    return Estimate("amplitude", hypothesis.unit, mean, low, high, effect=hypothesis.name, channel=channel)
 
 
 def regions(leader: Candidate, found: Place, base: Fit, simulator: Simulator, noise: Noise) -> Place:

@@ -49,7 +49,9 @@ class _Wanted:
 def pairs(
     simulator: Simulator, data: Array, noise: Noise, base: Fit, scan: Scan, leaders: Sequence[Candidate]
 ) -> list[Candidate]:
-    """Likely pairs, fully refitted; best first."""
+    """Likely pairs, fully refitted; best first; none of one hypothesis alone."""
+    if len(leaders) < 2:
+        return []
     best = leaders[0].log_evidence
     beside, jointly = _beside(scan, leaders), _jointly(scan, base.residual)
     found: dict[tuple[str, ...], Candidate] = {}

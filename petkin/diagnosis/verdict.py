@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
 
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible
-from petkin.diagnosis.detect import AgainstNoise
+from petkin.diagnosis.detect import CLAIM, AgainstNoise
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.refit import Fit
-from petkin.diagnosis.where import Place
+from petkin.diagnosis.where import PART, Place
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted quantity of a cause with its 90 % interval."""
+    """A fitted quantity of a cause with its 90 % interval.
+
+    Args:
+        effect: whose it is; of a pair one of both.
+        channel: the one that it concerns, where it differs between them; else "".
+    """
 
     symbol: str
     unit: str
     value: float
     low: float
     high: float
+    effect: str = field(default="", kw_only=True)
+    channel: str = field(default="", kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -122,6 +134,10 @@ class Diagnosis:
         if not self.chosen:
             return "unknown"
         return "named" if len(self.chosen) == 1 else "ambiguous"
+
+    def claims(self, place: Place) -> Array:
+        """q-values of parts: none is surer than that there is a gap at all."""
+        return np.maximum(place.q_values, min(self.p_value * PART / CLAIM, 1.0))
 
     @property
     def stages(self) -> dict[str, float]:

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: The q-value up to which a part is claimed.
+PART = 0.05
+
 
 @dataclass(frozen=True)
 class Place:

@@ -21,6 +21,8 @@ _PLAUSIBLE_DOSE_MBQ = (1.0, 5000.0)
 _REFERENCE_TOLERANCE_S = 1.0
 #: Decay corrected for two half-lives may differ by this share at the end of the scan before it is worth a remark.
 _DECAY_TOLERANCE = 0.01
+#: Rounds after which the decay constant that factors imply has settled (a few do, unless one frame is the whole scan).
+_ROUNDS = 100
 #: More frames than this in less than five minutes: a long-lived tracer's schedule is then in minutes.
 _MANY_FRAMES, _SHORT_SCAN_S, _SHORT_LIVED_MIN = 10, 300.0, 15.0
 
@@ -107,8 +109,39 @@ def implied_references(
 ) -> NDArray[np.float64]:
     """Reference t_ref (s) that each frame's factor f = lam d / (1 - e^{-lam d}) e^{lam (start - t_ref)} implies."""
     lam = np.log(2.0) / half_life_s
-    within = lam * duration_s / -np.expm1(-lam * duration_s)
-    return start_s - np.log(factors / within) / lam
+    return start_s - np.log(factors / _within(lam * duration_s)) / lam
+
+
+def implied_constant(
+    factors: NDArray[np.float64], start_s: NDArray[np.float64], duration_s: NDArray[np.float64]
+) -> float:
+    """lam (1/s) with which the factors of three frames or more were made, whatever their reference.
+
+    log f = lam (mid - t_ref) + log(x / sinh x), x = lam d / 2: lam is the slope of what the last term leaves, found in
+    rounds. The slope is the median of pairs of frames, weighted by their distance: one wrong frame hardly counts.
+    """
+    middle = start_s + 0.5 * duration_s
+    first, second = np.triu_indices(len(middle), 1)
+    apart, lam = middle[second] - middle[first], 0.0
+    for _ in range(_ROUNDS):
+        left = np.log(factors / _within(lam * duration_s)) + 0.5 * lam * duration_s
+        before, lam = lam, _middlemost((left[second] - left[first]) / apart, apart)
+        if abs(lam - before) <= 1e-12 * abs(lam):
+            break
+    return lam
+
+
+def _within(decayed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """y / (1 - e^{-y}) for y = lam d: what a frame's mean loses to decay since its start; 1 where nothing decays."""
+    y = np.where(decayed == 0.0, 1.0, decayed)
+    return np.where(decayed == 0.0, 1.0, y / -np.expm1(-y))
+
+
+def _middlemost(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Weighted median."""
+    order = np.argsort(values)
+    passed = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(passed, 0.5 * passed[-1])])
 
 
 def decay_factors(sidecar: PetSidecar) -> tuple[Remark, ...]:

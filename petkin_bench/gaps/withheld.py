@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from petkin import __version__
 from petkin.diagnosis import Diagnosis, Hypothesis, Term, diagnose, indistinct
 from petkin.errors import InputError
+from petkin.study.diagnosis.answer import cause_entry
 from petkin_bench.gaps.moving import Body, MovingBodies, seen, size
 
 Array = NDArray[np.float64]
@@ -190,7 +191,8 @@ def body_answer(body: Body, found: Diagnosis, *, seed: int, seconds: float) -> d
         "ambiguous": f"One of {', '.join(found.chosen)} is missing; these runs cannot split them.",
     }[found.kind]
     splits = [h.split_by for h in body.hypotheses if found.kind == "ambiguous" and h.name in found.chosen]
-    quality = np.asarray(found.frames.q_values).reshape(-1, body.frames).min(axis=0)
+    trials = found.claims(found.regions)
+    quality = found.claims(found.frames).reshape(-1, body.frames).min(axis=0)
     return {
         "schema": "petkin-gap/1",
         "subject": f"sub-{body.name.replace('_', '')}",
@@ -206,7 +208,7 @@ def body_answer(body: Body, found: Diagnosis, *, seed: int, seconds: float) -> d
             "stages": [{"stage": s, "probability": p} for s, p in found.stages.items()],
             "regions": [
                 {"region": name, "q_value": float(q), "share": float(share)}
-                for name, q, share in zip(found.channels, found.regions.q_values, found.regions.shares, strict=True)
+                for name, q, share in zip(found.channels, trials, found.regions.shares, strict=True)
             ],
             "frames": [
                 {"index": k, "start_s": k * body.interval, "end_s": (k + 1) * body.interval, "q_value": float(q)}
@@ -215,19 +217,7 @@ def body_answer(body: Body, found: Diagnosis, *, seed: int, seconds: float) -> d
             "onset_frame": None,
             "state": [],
         },
-        "causes": [
-            {
-                "effects": list(c.effects),
-                "probability": c.probability,
-                "estimate": {
-                    f"{'second_' if i else ''}{e.symbol}": {k: v for k, v in vars(e).items() if k != "symbol"}
-                    for i, e in enumerate(c.estimates)
-                },
-                "log_evidence_gain": c.log_evidence,
-                "closure": None if c.closure is None else vars(c.closure),
-            }
-            for c in found.causes
-        ],
+        "causes": [cause_entry(cause) for cause in found.causes],
         "verdict": {
             "kind": found.kind,
             "set": list(found.chosen),

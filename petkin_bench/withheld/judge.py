@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Cohort, Diagnosis
+from petkin.diagnosis import PART, Cohort, Diagnosis
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.detect import statistic
 from petkin.diagnosis.diagnose import scan_of
@@ -71,7 +71,7 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         "unknown_probability": found.unknown,
         "stage": next(iter(found.stages), ""),
         "onset_frame": -1 if frame is None else frame,
-        "regions": ";".join(str(r) for r in np.flatnonzero(found.regions.q_values <= 0.05)),
+        "regions": ";".join(str(r) for r in np.flatnonzero(found.claims(found.regions) <= PART)),
         "evidence": ";".join(f"{c.label}:{c.log_evidence:.3f}" for c in found.causes),
         "unknown_evidence": round(found.unknown_evidence, 3),
         "closure": "" if closed is None else closed.value,

@@ -12,7 +12,7 @@ import pytest
 
 from petkin.errors import InputError
 from petkin.io.bids import Study
-from petkin.io.checks import OddVoxels, check_sidecar, implied_references
+from petkin.io.checks import OddVoxels, check_sidecar, implied_constant, implied_references
 from petkin.io.remarks import Severity
 from petkin.io.sidecar import read_sidecar
 
@@ -82,6 +82,24 @@ def test_the_implied_reference_is_solved_for(sidecar_file: Write) -> None:
     text = text_of(sidecar_file(DecayFactor=factors(-4.5)), "decay-reference")
     assert "4.5 to 4.5 s before ImageDecayCorrectionTime (0 s)" in text
     assert "off by 0.26 percent" in text  # e^{ln 2 4.5 s / 1221.84 s} - 1 = 0.2556 percent
+
+
+@pytest.mark.parametrize("lives", [20.364, 20.364 * np.log(2), 10.182, 109.77, 2.037, 78.41 * 60, -20.0])
+@pytest.mark.parametrize("durations", [DURATIONS, [10] * 6 + [60] * 4 + [600] * 8, [10, 10, 1000]])
+def test_the_constant_that_made_factors_is_solved_for(lives: float, durations: list[int]) -> None:
+    """Whatever the reference and the frames, and with one frame wrong where there are many."""
+    d = np.array(durations, float)
+    start, lam = np.cumsum(d) - d, np.log(2) / (60 * lives)
+    made = lam * d / (1 - np.exp(-lam * d)) * np.exp(lam * (start + 17.0))
+    assert implied_constant(made, start, d) == pytest.approx(lam, rel=1e-6)
+    if len(d) > 3:
+        made[-1] *= 1.1
+        assert implied_constant(made, start, d) == pytest.approx(lam, rel=1e-6)
+
+
+def test_factors_that_do_not_grow_were_made_with_no_decay() -> None:
+    found = implied_constant(np.full(12, 2.0), np.array(STARTS, float), np.array(DURATIONS, float))
+    assert found == 0.0
 
 
 def test_a_reference_within_a_second_is_rounding(sidecar_file: Write) -> None:

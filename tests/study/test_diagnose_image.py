@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter, shift
 
 from petkin.diagnosis import Cause, Contrasted, Estimate, Hypothesis
 from petkin.study.diagnose import Diagnosed, diagnose_study
-from petkin.study.diagnosis.answer import _strength
+from petkin.study.diagnosis.answer import cause_entry, sized
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.spatial import Looked
 from petkin.study.simulate import simulate
@@ -163,10 +163,18 @@ def test_the_image_says_which_settings_are_likely() -> None:
 
 
 def test_an_axis_is_said_of_the_motion_whose_size_is_said() -> None:
-    """Of a pair the sentence gives the first effect's size, which may be a gain's."""
-    gain, mm = (Estimate("amplitude", unit, size, size, size) for unit, size in (("1", 0.05), ("mm", 3.0)))
-    axis = Estimate("axis", "1", 1.0, 1.0, 1.0)
-    pair = Cause(("gain_step", "motion_drift"), ("imaging", "imaging"), 0.9, 30.0, (gain, mm, axis))
-    assert _strength(pair) == " of 0.05"
+    """Of a pair each effect has its own size, place and time."""
+    gain = Estimate("amplitude", "1", 0.05, 0.05, 0.05, effect="gain_step", channel="Putamen")
+    onset = Estimate("onset", "min", 40.0, 38.0, 42.0, effect="gain_step")
+    mm, axis = (
+        Estimate(symbol, unit, size, size, size, effect="motion_drift")
+        for symbol, unit, size in (("amplitude", "mm", 3.0), ("axis", "1", 1.0))
+    )
+    pair = Cause(("gain_step", "motion_drift"), ("imaging", "imaging"), 0.9, 30.0, (gain, onset, mm, axis))
+    motion = "otion drift of 3 mm along the image's y axis"
+    assert sized(pair) == f"Gain step of 0.05 in Putamen from 40 min on and m{motion}"
     alone = Cause(("motion_drift",), ("imaging",), 0.9, 30.0, (mm, axis))
-    assert _strength(alone) == " of 3 mm along the image's y axis"
+    assert sized(alone) == f"M{motion}"
+    said = cause_entry(pair)["estimate"]
+    assert list(said) == ["amplitude", "onset_min", "second_amplitude", "second_axis"]
+    assert said["amplitude"]["region"] == "Putamen"

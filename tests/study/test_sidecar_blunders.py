@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from petkin.imaging.decay import half_life
 from petkin.io import PetSidecar, read_study
-from petkin.study.diagnosis.sidecar import blunders
+from petkin.study.diagnosis.answer import told
+from petkin.study.diagnosis.sidecar import Blunder, blunders
 
 HALF_LIFE_S = 20.364 * 60
 START, DURATION = np.arange(0.0, 3600.0, 300.0), np.full(12, 300.0)
+#: 10 to 600 s, as scanners that follow a bolus have them.
+LENGTHS = np.array([10.0] * 12 + [30.0] * 6 + [60.0] * 5 + [300.0] * 4 + [600.0] * 5)
+STARTS = np.concatenate([[0.0], np.cumsum(LENGTHS)[:-1]])
 
 
 def factors(lam: float, start: np.ndarray = START, duration: np.ndarray = DURATION) -> tuple[float, ...]:
@@ -35,6 +40,22 @@ def sidecar(**fields: Any) -> PetSidecar:
         "decay_correction_factor": factors(math.log(2) / HALF_LIFE_S),
     }
     return PetSidecar.model_validate({**usual, **fields})
+
+
+def corrected(nuclide: str, half_life_min: float, frames: int = len(LENGTHS)) -> PetSidecar:
+    """A sidecar of frames of 10 to 600 s whose factors are those of some half-life."""
+    start, duration = STARTS[:frames], LENGTHS[:frames]
+    return sidecar(
+        tracer_radionuclide=nuclide,
+        frame_times_start=tuple(start),
+        frame_duration=tuple(duration),
+        decay_correction_factor=factors(math.log(2) / (60 * half_life_min), start, duration),
+    )
+
+
+def only_said(found: tuple[Blunder, ...], effect: str) -> bool:
+    """Whether one thing is told that neither counts nor stands in the sentence."""
+    return [(b.effect, b.odds) for b in found] == [(effect, 0.0)] and told(found) == ""
 
 
 def named(**fields: Any) -> list[str]:
@@ -62,6 +83,88 @@ def test_the_growth_of_decay_factors(growth: float, effect: str) -> None:
     assert found.effect == effect
     assert found.sure
     assert f"{growth:.4g} times" in found.why
+
+
+@pytest.mark.parametrize("nuclide", ["C11", "F18", "O15"])
+def test_long_frames_do_not_slow_the_factors(nuclide: str) -> None:
+    """x / sinh x of 600 s of [11C] is 0.995, so that a slope by mid-frame alone is too low."""
+    found = corrected(nuclide, half_life(nuclide))
+    assert blunders(found) == ()
+    rounded = tuple(np.round(found.decay_correction_factor or (), 6))
+    assert blunders(found.model_copy(update={"decay_correction_factor": rounded})) == ()
+
+
+@pytest.mark.parametrize(
+    ("growth", "effect"),
+    [(1 / math.log(2), "mean_life_swap"), (2.0, "decay_applied_twice"), (1.02, "half_life_error")],
+)
+def test_long_frames_do_not_hide_a_growth(growth: float, effect: str) -> None:
+    (found,) = blunders(corrected("C11", 20.364 / growth))
+    assert (found.effect, found.sure) == (effect, True)
+    assert f"{growth:.4g} times" in found.why
+
+
+@pytest.mark.parametrize("last", [10, 11])
+def test_a_late_frame_of_another_duration_is_no_half_life(last: int) -> None:
+    lam = math.log(2) / HALF_LIFE_S
+    right, wrong = factors(lam), factors(lam, duration=np.full(12, 120.0))
+    assert named(decay_correction_factor=(*right[:last], wrong[last], *right[last + 1 :])) == ["frame_duration"]
+
+
+@pytest.mark.parametrize(
+    ("nuclide", "half_life_min", "frames"),
+    [
+        ("C11", 20.4, 32),
+        ("F18", 110.0, 32),
+        ("Ga68", 68.0, 32),
+        ("O15", 2.03, 23),
+        ("O15", 2.05, 23),
+        ("O15", 2.07, 23),
+        ("Zr89", 79.0 * 60, 32),
+    ],
+)
+def test_half_lives_that_differ_between_vendors_are_no_mistake(nuclide: str, half_life_min: float, frames: int) -> None:
+    growth = half_life(nuclide) / half_life_min
+    slightly = corrected(nuclide, half_life_min, frames)
+    stated = corrected(nuclide, half_life(nuclide), frames)
+    stated = stated.model_copy(update={"radionuclide_half_life": 60 * half_life_min})
+    for found in (blunders(slightly), blunders(stated)):
+        assert found == () if abs(growth - 1.0) < 0.002 else only_said(found, "half_life_error")
+
+
+def test_the_same_difference_counts_where_it_changes_the_correction() -> None:
+    """1.5 % of lambda: of [18F] over 89 min 0.8 % of the values, of [11C] 4.5 %."""
+    assert only_said(blunders(corrected("F18", 109.77 / 1.015)), "half_life_error")
+    (found,) = blunders(corrected("C11", 20.364 / 1.015))
+    assert (found.effect, found.odds > 0) == ("half_life_error", True)
+
+
+def test_another_constant_of_the_vendor_is_no_other_reference() -> None:
+    """By the nuclide's half-life the late factors of 110 min would imply a reference 10 s off."""
+    shifted = corrected("F18", 110.0)
+    late = np.exp(60.0 * math.log(2) / (110 * 60)) * np.array(shifted.decay_correction_factor)
+    found = {b.effect: b for b in blunders(shifted.model_copy(update={"decay_correction_factor": tuple(late)}))}
+    assert set(found) == {"half_life_error", "input_scale"}
+    assert "60.0 s before" in found["input_scale"].why
+
+
+@pytest.mark.parametrize(("nuclide", "other"), [("C11", "F18"), ("F18", "C11"), ("C11", "N13"), ("F18", "Ga68")])
+def test_the_half_life_of_another_nuclide_is_said_to_be(nuclide: str, other: str) -> None:
+    (found,) = blunders(corrected(nuclide, half_life(other)))
+    assert (found.effect, found.sure) == ("half_life_error", True)
+    assert f"as fast as {nuclide} decays, as those of {other} would" in found.why
+    stated = sidecar(
+        tracer_radionuclide=nuclide, radionuclide_half_life=60 * half_life(other), decay_correction_factor=None
+    )
+    (found,) = blunders(stated)
+    assert (found.effect, found.sure) == ("half_life_error", True)
+    assert f", as that of {other} is" in found.why
+
+
+@pytest.mark.parametrize("fields", [{"injection_start": 20.0}, {"scan_start": 49.0}])
+def test_times_that_are_legal_count_for_nothing(fields: dict[str, Any]) -> None:
+    """PET-BIDS times frames and blood from TimeZero, from which injection and scan may lie as far as they like."""
+    assert only_said(blunders(sidecar(**fields)), "frame_offset")
 
 
 def test_factors_of_one_mean_that_nothing_was_corrected() -> None:

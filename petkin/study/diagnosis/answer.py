@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.diagnosis import DRIVE, ONE, WITHIN, Cause, Diagnosis, State, Visible, indistinct
+from petkin.diagnosis import DRIVE, ONE, WITHIN, Cause, Diagnosis, Estimate, State, Visible, indistinct
 from petkin.effects import effect_named
+from petkin.effects.noise import NOISE_VARIANCE
 from petkin.imaging import PLANES
 from petkin.kinetics import compartment_model
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
@@ -38,6 +40,8 @@ _WAYS = (
     *(f"of its rim, turning in the image's {''.join('xyz'[axis] for axis in plane)} plane" for plane in PLANES),
 )
 _DIGITS = 6
+#: The smallest d' that is said as a number; share of noise common to frames in which much could hide.
+_LEAST, _MUCH = 0.01, 0.3
 
 
 def answer(
@@ -68,7 +72,7 @@ def answer(
                 "frame_common_share": found.noise.share,
             },
             "where": _where(found, simulator, states),
-            "causes": [_cause(cause) for cause in found.causes],
+            "causes": [cause_entry(cause) for cause in found.causes],
             "verdict": {
                 "kind": found.kind,
                 "set": list(found.chosen),
@@ -85,7 +89,7 @@ def answer(
 
 def _where(found: Diagnosis, simulator: RegionalSimulator, states: StatesRead | None) -> dict[str, Any]:
     frames = simulator.clock.frames
-    regions = zip(found.channels, found.regions.q_values, found.regions.shares)
+    regions = zip(found.channels, found.claims(found.regions), found.regions.shares)
     return {
         "stages": [{"stage": s, "probability": p} for s, p in found.stages.items()],
         "regions": [{"region": r, "q_value": q, "share": share} for r, q, share in regions],
@@ -96,7 +100,7 @@ def _where(found: Diagnosis, simulator: RegionalSimulator, states: StatesRead | 
                 "end_s": frames.end[k] * SECONDS_PER_MINUTE,
                 "q_value": q,
             }
-            for k, q in enumerate(found.frames.q_values)
+            for k, q in enumerate(found.claims(found.frames))
         ],
         "onset_frame": onset_frame(found, simulator),
         "state": [*_state(found), *(state_entry(states) if found.present else ())],
@@ -127,13 +131,14 @@ def _state(found: Diagnosis) -> list[dict[str, Any]]:
     return named
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def cause_entry(cause: Cause) -> dict[str, Any]:
+    """A cause as the answer has it; what is of the second effect of a pair says so."""
     estimate = {}
     for entry in cause.estimates:
-        key = {"amplitude": "amplitude", "onset": "onset_min"}.get(entry.symbol, entry.symbol)
-        if key in estimate:
-            key = f"second_{key}"
-        estimate[key] = {"value": entry.value, "low": entry.low, "high": entry.high, "unit": entry.unit}
+        key = {"onset": "onset_min"}.get(entry.symbol, entry.symbol)
+        key = key if entry.effect in ("", cause.effects[0]) else f"second_{key}"
+        place = {"region": entry.channel} if entry.channel else {}
+        estimate[key] = {"value": entry.value, "low": entry.low, "high": entry.high, "unit": entry.unit} | place
     closed = cause.closure
     return {
         "effects": list(cause.effects),
@@ -145,8 +150,8 @@ def _cause(cause: Cause) -> dict[str, Any]:
 
 
 def words(label: str) -> str:
-    """A cause in words: "gain step and motion drift"."""
-    return " and ".join(name.replace("_", " ") for name in label.split("+"))
+    """A cause in words: "gain step with motion drift"."""
+    return " with ".join(name.replace("_", " ") for name in label.split("+"))
 
 
 def split_by(found: Diagnosis) -> str | None:
@@ -163,31 +168,56 @@ def split_by(found: Diagnosis) -> str | None:
 def sentence(found: Diagnosis) -> str:
     """The verdict in one sentence."""
     if found.kind == "none":
-        return f"The simulator explains these data: no gap beyond the noise (p = {found.p_value:.2g})."
+        return f"The simulator explains these data: no gap beyond the noise ({_p(found)}){_hidden(found)}."
     if found.kind == "unknown":
         nearest = f"; the nearest is {words(found.causes[0].label)}" if found.causes else ""
         looks = _UNNAMED.get(found.unknown_place, "")
-        return f"There is a gap (p = {found.p_value:.2g}) that no catalogued effect explains{looks}{nearest}."
+        return f"There is a gap ({_p(found)}) that no catalogued effect explains{looks}{nearest}."
     leader = found.causes[0]
-    strength = _strength(leader)
-    closed = leader.closure
-    share = "" if closed is None else f" explains {closed.value:.0%} of the gap ({closed.low:.0%} to {closed.high:.0%})"
+    if leader.effects == (NOISE_VARIANCE.name,):
+        return f"{sized(leader)} (0: as counts, 1: one size in all frames); no gap in the mean is claimed."
+    closed, verb = leader.closure, "explains" if len(leader.effects) == 1 else "together explain"
+    share = "" if closed is None else f" {verb} {closed.value:.0%} of the gap ({closed.low:.0%} to {closed.high:.0%})"
     if found.kind == "named":
-        return f"{words(leader.label).capitalize()}{strength}{share}."
+        return f"{sized(leader)}{share}."
     others = " or ".join(words(label) for label in found.chosen[1:])
-    return f"{words(leader.label).capitalize()}{strength}{share}; these data cannot split it from {others}."
+    return f"{sized(leader)}{share}; these data cannot split it from {others}."
 
 
-def _strength(cause: Cause) -> str:
-    if not cause.estimates:
+def _p(found: Diagnosis) -> str:
+    """The p-value in words, as far as draws can tell it."""
+    least = 1.0 / (1 + len(found.against.drawn))
+    return f"p {'=' if found.p_value > least else '<='} {found.p_value:.2g}"
+
+
+def _hidden(found: Diagnosis) -> str:
+    """What may hide where no gap is claimed."""
+    if len(found.channels) < 2 or found.noise.share < _MUCH:
         return ""
-    first = cause.estimates[0]
-    if first.unit == "flag":
+    return f"; what regions of a frame have in common, {found.noise.share:.0%} of the noise, could hide a change of all"
+
+
+def sized(cause: Cause) -> str:
+    """A cause with how strong it is, where and from when on; of a pair both."""
+    parts = []
+    for name in cause.effects:
+        known = {e.symbol: e for e in cause.estimates if e.effect in ("", name)}
+        parts.append(words(name) + _strength(known))
+    text = " and ".join(parts)
+    return text[:1].upper() + text[1:]
+
+
+def _strength(known: Mapping[str, Estimate]) -> str:
+    """How strong an effect is, of its estimates by symbol."""
+    size = known.get("amplitude")
+    if size is None or size.unit == "flag":
         return ""
-    unit = "" if first.unit == "1" else f" {first.unit}"
-    known = {e.symbol: e.value for e in cause.estimates[::-1]}  # of a pair, the first effect's
-    way = f" {_WAYS[int(known['axis'])]}" if "axis" in known and first.unit == "mm" else ""
-    return f" of {first.value:.3g}{unit}{way}" + (f" from {known['onset']:.3g} min on" if "onset" in known else "")
+    unit = "" if size.unit == "1" else f" {size.unit}"
+    way = f" {_WAYS[int(known['axis'].value)]}" if "axis" in known and size.unit == "mm" else ""
+    place = f" in {size.channel}" if size.channel else ""
+    return f" of {size.value:.3g}{unit}{way}{place}" + (
+        f" from {known['onset'].value:.3g} min on" if "onset" in known else ""
+    )
 
 
 def told(shown: tuple[Blunder, ...]) -> str:
@@ -216,7 +246,8 @@ def cannot_tell(
         if names in {(b.effect,) for b in shown if b.scale}:
             continue
         if len(names) == 1:
-            why = f"the refitted kinetics absorb it: d' is {entry.detectability:.2g} at the end of its plausible range"
+            seen = f"{entry.detectability:.2g}" if entry.detectability >= _LEAST else f"below {_LEAST}"
+            why = f"the refitted kinetics absorb it: d' is {seen} at the end of its plausible range"
         else:
             why = f"after the refit they look alike (cosine {entry.partners[0][1]:.2f})"
         found.append({"effects": list(names), "why": why, "worst_bias": _bias(entry, simulator)})

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from petkin.diagnosis import CLAIM, Cause, Diagnosis, Elsewhere, Estimate, Fit, smallest_set
+import numpy as np
+
+from petkin.diagnosis import CLAIM, Best, Cause, Diagnosis, Elsewhere, Estimate, Fit, smallest_set
 from petkin.io import read_regions
 from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
 from petkin.study.diagnosis.regional import RegionalSimulator
@@ -103,21 +106,30 @@ def _sized(cause: Cause, looked: Looked) -> Cause:
         best = looked.contrasted.best.get(name)
         if best is None or looked.contrasted.evidence[name] < _SURE:
             continue
-        place = cause.effects.index(name)
-        amplitudes = [i for i, e in enumerate(estimates) if e.symbol == "amplitude"]
-        if name in _IN_MM and place < len(amplitudes):
+        place = next((i for i, e in enumerate(estimates) if (e.effect, e.symbol) == (name, "amplitude")), None)
+        if name in _IN_MM and place is not None:
             low, high = sorted((abs(best.low), abs(best.high)))
             size = abs(best.value)
             if name == "partial_volume":
                 spread = 0.5 * (high - low) / max(size, 1e-300) / 2.0  # blur grows with the square of its width
                 size = looked.width_mm
                 low, high = size * max(1.0 - spread, 0.0), size * (1.0 + spread)
-            estimates[amplitudes[place]] = Estimate("amplitude", "mm", size, low, high)
+            estimates[place] = Estimate("amplitude", "mm", size, low, high, effect=name)
         if len(cause.effects) == 1:
-            units = {"onset": "min"} | ({"axis": "1"} if name in _IN_MM else {})
-            setting = {
-                symbol: float(best.pattern.setting[symbol]) for symbol in units if symbol in best.pattern.setting
-            }
-            estimates = [e for e in estimates if e.symbol not in setting]
-            estimates += [Estimate(symbol, units[symbol], *(3 * [value])) for symbol, value in setting.items()]
+            symbols = [s for s in ("onset", "axis")[: 1 + (name in _IN_MM)] if s in best.pattern.setting]
+            estimates = [e for e in estimates if e.symbol not in symbols]
+            estimates += [_set(symbol, name, best, looked.contrasted.settings[name]) for symbol in symbols]
     return replace(cause, estimates=tuple(estimates))
+
+
+def _set(symbol: str, name: str, best: Best, settings: Sequence[tuple[Mapping[str, float], float]]) -> Estimate:
+    """A setting that the image tells: of an onset, up to those tried beside the ones that hold 0.9 of the evidence."""
+    value = float(best.pattern.setting[symbol])
+    if symbol != "onset":
+        return Estimate(symbol, "1", value, value, value, effect=name)
+    tried = np.unique([setting[symbol] for setting, _ in settings])
+    each = [np.logaddexp.reduce([log for setting, log in settings if setting[symbol] == time]) for time in tried]
+    below = np.cumsum(np.exp(np.array(each) - np.logaddexp.reduce(each)))
+    first, last = np.searchsorted(below, 0.05), np.searchsorted(below, 0.95)
+    low, high = tried[max(first - 1, 0)], tried[min(last + 1, len(tried) - 1)]
+    return Estimate(symbol, "min", value, min(float(low), value), max(float(high), value), effect=name)

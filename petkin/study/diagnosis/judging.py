@@ -223,7 +223,7 @@ def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:
 def _strength(scatter: Scatter) -> Strength:
     low, high = (scatter.flatness + sign * _Z90 * scatter.error for sign in (-1.0, 1.0))
     value, low, high = (float(np.clip(f, 0.0, 1.0)) for f in (scatter.flatness, low, high))
-    return Strength("amplitude", "1", value, low, high, signed=False, single=False)
+    return Strength("amplitude", "1", value, low, high, signed=False, single=False, effect=NOISE_VARIANCE.name)
 
 
 def _with(label: str) -> str:

@@ -12,20 +12,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.imaging.decay import half_life
+from petkin.imaging.decay import NUCLIDES, half_life
 from petkin.io import PetSidecar
-from petkin.io.checks import implied_references, stated_factors
+from petkin.io.checks import implied_constant, implied_references, stated_factors
 from petkin.units import SECONDS_PER_MINUTE
 
 #: Log odds that a finding lends an effect: what factors prove, what two fields contradict, what looks odd, and what is
-#: only worth saying.
+#: only worth saying: neither weighed nor in the sentence.
 _PROVED, _CONTRADICTED, _ODD, _SAID = 8.0, 5.0, 2.0, 0.0
+_MEAN_LIFE = (1.0 / math.log(2.0), "mean_life_swap")
 #: Growth of the stated factors over that of the nuclide, what it means, and how far off it may lie.
-_GROWTHS = ((1.0 / math.log(2.0), "mean_life_swap"), (2.0, "decay_applied_twice"), (0.0, "decay_not_applied"))
+_GROWTHS = (_MEAN_LIFE, (2.0, "decay_applied_twice"), (0.0, "decay_not_applied"))
 _SAME_GROWTH, _RIGHT_GROWTH = 0.03, 0.002
-#: Factors and times are stated to about this, s.
-_ROUNDED_S = 1.0
-_MEAN_LIFE = "the half-life taken for the mean life"
+#: Relative error within which a half-life is another nuclide's, as tables of it differ.
+_SAME_NUCLIDE = 0.02
+#: Share of the decay correction, from its reference to the far end of the scan, below which a change is slight.
+_SLIGHT = 0.01
+#: Half-lives (min) that scanners and programs use, least and greatest: to differ by these is no mistake of the study.
+_IN_USE = {"C11": (20.3, 20.4), "O15": (2.03, 2.07), "F18": (109.7, 110.0), "Ga68": (67.6, 68.0)}
+#: Factors and times are stated to about this, s; factors, to about this share.
+_ROUNDED_S, _ROUNDED = 1.0, 1e-4
 
 
 @dataclass(frozen=True)
@@ -62,27 +68,65 @@ def blunders(sidecar: PetSidecar | None) -> tuple[Blunder, ...]:
 
 
 def _growth(sidecar: PetSidecar) -> list[Blunder]:
-    """lam' / lam from the slope of what the factors leave over what they should be."""
+    """The factors' lam' over the nuclide's lam."""
     field, factors = stated_factors(sidecar)
     if factors is None or not sidecar.image_decay_corrected:
         return []
-    lam = _natural(sidecar)
     if np.allclose(factors, 1.0):
         return [
             Blunder("decay_not_applied", _PROVED, f"{field} is 1 in every frame though ImageDecayCorrected is true")
         ]
-    middle = np.asarray(sidecar.frame_times_start) + 0.5 * np.asarray(sidecar.frame_duration)
-    if len(middle) < 3:
-        return []
-    growth = float(np.polyfit(middle, np.log(factors), 1)[0]) / lam
+    growth = _grown(sidecar)
+    grown = f"{field} grows {growth:.4g} times as fast as {sidecar.nuclide} decays"
+    grown += "".join(f", as those of {other} would" for other in _others(sidecar.nuclide, growth))
+    return _meant(sidecar, growth, grown, _PROVED, _GROWTHS)
+
+
+def _grown(sidecar: PetSidecar) -> float:
+    """lam' / lam of stated factors; 1 where they are missing or too few to tell."""
+    factors, start, duration = stated_factors(sidecar)[1], *_times(sidecar)
+    if factors is None or len(factors) < 3:
+        return 1.0
+    return implied_constant(factors, start, duration) / _natural(sidecar)
+
+
+def _meant(
+    sidecar: PetSidecar, growth: float, why: str, odds: float, known: tuple[tuple[float, str], ...]
+) -> list[Blunder]:
+    """What a correction means that grows so many times as fast as the nuclide decays; nothing where it is right."""
     if abs(growth - 1.0) < _RIGHT_GROWTH:
         return []
-    grown = f"{field} grows {growth:.4g} times as fast as {sidecar.nuclide} decays"
-    for ratio, effect in _GROWTHS:
+    start, duration = _times(sidecar)
+    reach = np.abs(np.array([start[0], start[-1] + duration[-1]]) - (sidecar.image_decay_correction_time or 0.0)).max()
+    change = abs(growth - 1.0) * _natural(sidecar) * float(reach)
+    if change < _SLIGHT or _in_use(sidecar.nuclide, growth):
+        return [_said("half_life_error", f"{why}, which changes the decay correction by {100 * change:.2g} % at most")]
+    for ratio, effect in known:
         if abs(growth - ratio) < _SAME_GROWTH:
-            meaning = f", as with {_MEAN_LIFE}" if effect == "mean_life_swap" else ""
-            return [Blunder(effect, _PROVED, grown + meaning)]
-    return [Blunder("half_life_error", _PROVED, grown)]
+            meaning = ", as with the half-life taken for the mean life" if effect == _MEAN_LIFE[1] else ""
+            return [Blunder(effect, odds, why + meaning)]
+    return [Blunder("half_life_error", odds, why)]
+
+
+def _said(effect: str, why: str) -> Blunder:
+    """What the page alone tells; 0 is the prior of no flag, so that `effect` must have a size."""
+    return Blunder(effect, _SAID, f"{why} (said only: it is not weighed)")
+
+
+def _in_use(nuclide: str, growth: float) -> bool:
+    """Whether the half-life of such a growth is one that is used for the nuclide."""
+    least, greatest = _IN_USE.get(nuclide, (math.inf, math.inf))
+    return growth > 0.0 and least * (1.0 - _RIGHT_GROWTH) < half_life(nuclide) / growth < greatest * (
+        1.0 + _RIGHT_GROWTH
+    )
+
+
+def _others(nuclide: str, growth: float) -> list[str]:
+    """The other nuclide whose half-life such a growth has, if any."""
+    lives = half_life(nuclide)
+    return [
+        other for other in NUCLIDES if other != nuclide and abs(growth * half_life(other) / lives - 1.0) < _SAME_NUCLIDE
+    ]
 
 
 def _state(sidecar: PetSidecar) -> list[Blunder]:
@@ -105,18 +149,17 @@ def _state(sidecar: PetSidecar) -> list[Blunder]:
 def _half_life(sidecar: PetSidecar) -> list[Blunder]:
     """RadionuclideHalfLife against the nuclide's."""
     stated, natural = sidecar.radionuclide_half_life, half_life(sidecar.nuclide) * SECONDS_PER_MINUTE
-    if not stated or stated <= 0 or abs(natural / stated - 1.0) < _RIGHT_GROWTH or not sidecar.image_decay_corrected:
+    if not stated or stated <= 0 or not sidecar.image_decay_corrected:
         return []
     why = f"RadionuclideHalfLife is {stated:g} s but that of {sidecar.nuclide} is {natural:.6g} s"
-    if abs(natural / stated - 1.0 / math.log(2.0)) < _SAME_GROWTH:
-        return [Blunder("mean_life_swap", _CONTRADICTED, f"{why}, as with {_MEAN_LIFE}")]
-    return [Blunder("half_life_error", _CONTRADICTED, why)]
+    why += "".join(f", as that of {other} is" for other in _others(sidecar.nuclide, natural / stated))
+    return _meant(sidecar, natural / stated, why, _CONTRADICTED, (_MEAN_LIFE,))
 
 
 def _reference(sidecar: PetSidecar) -> list[Blunder]:
     """To which time the factors refer: a pure scale, which kinetics absorb."""
     field, off = _references(sidecar)
-    if off.size == 0 or abs(np.median(off)) < _ROUNDED_S:
+    if off.size == 0 or abs(np.median(off)) < _rounded_s(sidecar):
         return []
     late, scale = float(np.median(off)), math.expm1(_natural(sidecar) * abs(float(np.median(off))))
     side, stated = "before" if late < 0 else "after", sidecar.image_decay_correction_time or 0.0
@@ -135,10 +178,10 @@ def _frame(sidecar: PetSidecar) -> list[Blunder]:
     if off.size >= 3:
         k = int(np.argmax(np.abs(off - np.median(off))))
         others = np.delete(off, k)
-        if abs(off[k] - np.median(off)) > _ROUNDED_S and np.ptp(others) < _ROUNDED_S:
+        if abs(off[k] - np.median(off)) > _rounded_s(sidecar) > np.ptp(others):
             why = f"{field} of frame {k} (from 0) belongs to another start or duration than the sidecar's"
             return [Blunder("frame_duration", _PROVED, why)]
-    start, duration = np.asarray(sidecar.frame_times_start), np.asarray(sidecar.frame_duration)
+    start, duration = _times(sidecar)
     gap = start[1:] - (start + duration)[:-1]
     holes = np.flatnonzero(gap > _ROUNDED_S)
     if holes.size == 1:
@@ -151,33 +194,51 @@ def _frame(sidecar: PetSidecar) -> list[Blunder]:
 
 
 def _clock(sidecar: PetSidecar) -> list[Blunder]:
-    """Injection and scan against the frame times."""
+    """Injection and scan against the frame times.
+
+    No evidence: frames and blood are timed from TimeZero, from which the injection may lie as far as it likes.
+    """
     first, injected, started = sidecar.frame_times_start[0], sidecar.injection_start, sidecar.scan_start
     if injected:
-        why = f"InjectionStart is {injected:g} s; blood that was timed from the injection lies as far off the frames"
-        return [Blunder("frame_offset", _ODD, why)]
+        why = f"InjectionStart is {injected:g} s; blood timed from the injection would lie as far off the frames"
+        return [_said("frame_offset", why)]
     if started is not None and abs(started - first) > _ROUNDED_S:
-        return [Blunder("frame_offset", _SAID, f"ScanStart is {started:g} s but the first frame starts at {first:g} s")]
+        return [_said("frame_offset", f"ScanStart is {started:g} s but the first frame starts at {first:g} s")]
     return []
 
 
 def _references(sidecar: PetSidecar) -> tuple[str, NDArray[np.float64]]:
     """Field of the factors, and by how much (s) the reference that each implies is later than stated; empty for none.
 
-    Of the stated and the nuclide's half-life, the one counts with which all factors imply the same reference.
+    Of the stated half-life, the nuclide's and one that differs slightly and made the factors, the one counts with which
+    all factors imply the same reference.
     """
     field, factors = stated_factors(sidecar)
-    if factors is None or not sidecar.image_decay_corrected or np.allclose(factors, 1.0) or _growth(sidecar):
+    growth = _growth(sidecar)
+    if factors is None or not sidecar.image_decay_corrected or any(found.odds > _SAID for found in growth):
         return field, np.zeros(0)
     natural = half_life(sidecar.nuclide) * SECONDS_PER_MINUTE
-    start, duration = np.asarray(sidecar.frame_times_start), np.asarray(sidecar.frame_duration)
-    found = [
-        implied_references(factors, start, duration, h) for h in (sidecar.radionuclide_half_life or natural, natural)
-    ]
+    lives = [sidecar.radionuclide_half_life or natural, natural]
+    if growth:
+        ratio = _grown(sidecar)
+        if abs(ratio - 1.0) > _SAME_NUCLIDE:  # so little decay that rounding may have made it
+            return field, np.zeros(0)
+        lives.append(natural / ratio)
+    found = [implied_references(factors, *_times(sidecar), h) for h in lives]
     steadiest = min(found, key=lambda references: float(np.ptp(references)))
     return field, np.asarray(steadiest - (sidecar.image_decay_correction_time or 0.0), np.float64)
+
+
+def _times(sidecar: PetSidecar) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Start and duration of the frames, s."""
+    return np.asarray(sidecar.frame_times_start, np.float64), np.asarray(sidecar.frame_duration, np.float64)
 
 
 def _natural(sidecar: PetSidecar) -> float:
     """lam of the nuclide, 1/s."""
     return math.log(2.0) / (half_life(sidecar.nuclide) * SECONDS_PER_MINUTE)
+
+
+def _rounded_s(sidecar: PetSidecar) -> float:
+    """By how much rounding may move the reference that a factor implies, s."""
+    return max(_ROUNDED_S, _ROUNDED / _natural(sidecar))

@@ -48,6 +48,7 @@ from petkin.study.diagnosis.blood import allowing, errors_of, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
+from petkin.study.diagnosis.including import in_picture, settled
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
 from petkin.study.diagnosis.report import Judged, gap_report
@@ -182,7 +183,7 @@ def _diagnosed(
         based = base_fit(simulator, curves.values)
         names = frozenset(h.name for h in candidates)
         imaged = look_at_image(picture, simulator, based[0], names, seed=request.seed)
-        simulator = replace(simulator, moves=moves(imaged.voxels))
+        simulator, based = in_picture(replace(simulator, moves=moves(imaged.voxels)), curves.values, based)
         candidates = possible()
         seen = tuple(map(imaged.looked.told, candidates))
         detected = detect(simulator, curves.values, seen, seed=request.seed, based=based)
@@ -328,7 +329,8 @@ def _reading(request: DiagnoseRequest) -> FitRequest:
 
 
 def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, RegionalSimulator]:
-    """Regional curves of a scan, and the simulator that they are compared with.
+    """Regional curves of a scan, and the simulator that they are compared with; settings of what it includes are those
+    that suit the curves.
 
     Raises:
         InputError: no curves, no blood, too few frames, or values that are not finite.
@@ -344,7 +346,7 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
     nodes = reading_nodes(arterial, end)
     errors = errors_of(arterial, nodes, request.blood)
     arterial = allowing(arterial, nodes, errors, request.blood)
-    return curves, RegionalSimulator(
+    simulator = RegionalSimulator(
         curves.names,
         request.compartments.label,
         read_at(arterial, nodes),
@@ -354,6 +356,7 @@ def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, 
         frozenset({"parent_fraction"}) if source.blood.metabolites_measured else frozenset(),
         errors=errors,
     )
+    return curves, settled(simulator, curves.values)
 
 
 def _check(curves: RegionalCurves, label: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -28,14 +28,16 @@ PRIOR = {"K1": (0.2, 0.6), "k2": (0.12, 0.8), "k3": (0.04, 0.9), "k4": (0.03, 0.
 #: Two starts of k2, 1/min.
 _STARTS = (0.06, 0.2)
 _LOG_STEP = 1e-4
-#: Shared parameters that an included effect adds: step in its unit.
-_SHARED_STEP = 1e-3
+#: Amplitudes of included effects: step in widths of their plausible range.
+_SIZE_STEP = 1e-3
 #: Departure of C_P by which its effect on regions is taken, which is linear.
 _DEPARTURE = 1e-3
 #: Rates of the dictionary for the noise floor, 1/min.
 _LADDER = np.concatenate([[0.0], np.geomspace(1e-3, 6.0, 27)])
-#: Effects that a region has for itself where the simulator includes them.
+#: Effects that a region has for itself, as logarithms, where the simulator includes them.
 _OWN = {"blood_volume": "vB", "vascular_trapping": "Kb"}
+#: Effects without a first order about no effect: their refit begins at their usual size, the mean of its prior.
+_CURVED = frozenset({"tissue_heterogeneity"})
 #: Relative error of predictions: of the table of responses, and of blood read as straight lines between samples.
 _ACCURACY = 5e-4
 #: Onsets tried: so many for the scanner, so many for the tissue.
@@ -66,6 +68,8 @@ class RegionalSimulator:
         grain: the noise by region and frame, relative to that law, where voxels show it (R, K).
         errors: standard deviations of C_P relative to itself, at the nodes, one after another (m, T).
         moves: what motion adds to regions, where an image tells; see `Camera`.
+        settings: of included effects by name, parameters beside the amplitude, which are not refitted, each a number or
+            one a region; starts of the catalogue for the rest.
     """
 
     channels: tuple[str, ...]
@@ -80,6 +84,7 @@ class RegionalSimulator:
     grain: Array | None = None
     errors: Array = field(default_factory=lambda: np.zeros((0, 1)))
     moves: Exchange | None = None
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     _kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -100,21 +105,37 @@ class RegionalSimulator:
 
     @property
     def own(self) -> Coordinates:
+        """Logarithms of kinetics, then amplitudes that differ between regions, as those of `shared`."""
         return self._own
 
     @cached_property
     def _own(self) -> Coordinates:
-        symbols = (*kinetics(self.label), *self._own_effects)
-        mean, sd = (np.array([PRIOR[s][i] for s in symbols]) for i in (0, 1))
-        return Coordinates(symbols, np.log(mean), sd, np.full(len(symbols), _LOG_STEP))
+        mean, sd = (np.array([PRIOR[s][i] for s in self._logarithms]) for i in (0, 1))
+        sizes, steps = _sizes(self._regional), np.full(len(mean), _LOG_STEP)
+        return Coordinates(
+            (*self._logarithms, *sizes.symbols),
+            np.concatenate([np.log(mean), sizes.mean]),
+            np.concatenate([sd, sizes.sd]),
+            np.concatenate([steps, sizes.step]),
+        )
 
     @cached_property
-    def _own_effects(self) -> tuple[str, ...]:
-        return tuple(_OWN[e.name] for e in self.includes if e.name in _OWN)
+    def _logarithms(self) -> tuple[str, ...]:
+        """Symbols of what a region has for itself on a log scale."""
+        return (*kinetics(self.label), *(_OWN[e.name] for e in self.includes if e.name in _OWN))
 
     @cached_property
-    def _shared_effects(self) -> tuple[Effect, ...]:
+    def sized(self) -> tuple[Effect, ...]:
+        """Included effects whose amplitude is refitted in widths of its plausible range."""
         return tuple(e for e in self.includes if e.name not in _OWN and not e.flag)
+
+    @cached_property
+    def _regional(self) -> tuple[Effect, ...]:
+        return tuple(e for e in self.sized if e.regional)
+
+    @cached_property
+    def _limits(self) -> dict[str, tuple[float, float]]:
+        return {e.name: hypothesis_of(e, self).limits for e in self.sized}
 
     @property
     def shared(self) -> Coordinates:
@@ -123,9 +144,7 @@ class RegionalSimulator:
 
     @cached_property
     def _shared(self) -> Coordinates:
-        count = len(self._shared_effects)
-        symbols = tuple(e.name for e in self._shared_effects)
-        return Coordinates(symbols, np.zeros(count), np.ones(count), np.full(count, _SHARED_STEP))
+        return _sizes(tuple(e for e in self.sized if not e.regional))
 
     @property
     def starts(self) -> tuple[Array, ...]:
@@ -152,8 +171,9 @@ class RegionalSimulator:
 
     def _including(self, own: Array, shared: Array) -> ForwardModel:
         """The forward model with the effects that it includes."""
-        amounts = np.exp(own.clip(-12.0, 4.0))
-        values = {symbol: amounts[..., i] for i, symbol in enumerate(self.own.symbols)}
+        count = len(self._logarithms)
+        amounts = np.exp(own[..., :count].clip(-12.0, 4.0))
+        values = {symbol: amounts[..., i] for i, symbol in enumerate(self._logarithms)}
         nothing = np.zeros(own.shape[:-1])
         model = ForwardModel(
             regions=self.channels,
@@ -167,9 +187,12 @@ class RegionalSimulator:
         for effect in self.includes:
             if effect.flag:
                 model = effect.inject(model)
-        for effect, amount in zip(self._shared_effects, shared):
-            least = -np.inf if effect.amplitude.lower < 0 else 0.0
-            model = effect.inject(model, {effect.amplitude.symbol: max(amount * width(effect), least)})
+        sizes = dict(zip(self.shared.symbols, shared))
+        sizes |= {effect.name: own[..., count + i] for i, effect in enumerate(self._regional)}
+        for effect in self.sized:
+            amplitude = np.clip(sizes[effect.name] * width(effect), *self._limits[effect.name])
+            setting = self.settings.get(effect.name, {})
+            model = effect.inject(model, {effect.amplitude.symbol: amplitude, **setting})
         return model
 
     def _responses(self, model: ForwardModel, shared: Array, terms: tuple[Term, ...]) -> Tabulated:
@@ -224,6 +247,13 @@ class RegionalSimulator:
         own = np.tile(self.own.mean, (len(self.channels), 1))
         seen = self._responses(self.model(own, shared), shared, ())
         return np.concatenate([seen.plasma(_LADDER), seen.blood[None], seen.trapped(0.0)[None]])
+
+
+def _sizes(effects: Sequence[Effect]) -> Coordinates:
+    """Their amplitudes in widths of the plausible range."""
+    count = len(effects)
+    mean = np.array([e.amplitude.start / width(e) if e.name in _CURVED else 0.0 for e in effects])
+    return Coordinates(tuple(e.name for e in effects), mean, np.ones(count), np.full(count, _SIZE_STEP))
 
 
 def _place(own: Array, shared: Array) -> tuple[Any, ...]:
@@ -308,8 +338,13 @@ def hypotheses(
     """All effects that may be missing: not included, not withheld, and possible for this simulator."""
     model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
     known = {e.name for e in simulator.includes} | without
-    forms = (e.imaged if e.imaged is not None and e.imaged.suits(model) else e for e in candidates)
+    forms = (form_of(e, model) for e in candidates)
     return tuple(hypothesis_of(e, simulator) for e in forms if e.name not in known and e.suits(model))
+
+
+def form_of(effect: Effect, model: ForwardModel) -> Effect:
+    """The form of an effect that suits a forward model: where a picture tells of it, that of pictures."""
+    return effect.imaged if effect.imaged is not None and effect.imaged.suits(model) else effect
 
 
 def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0) -> Array:

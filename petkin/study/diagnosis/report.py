@@ -69,10 +69,21 @@ def gap_report(
         shown=tuple((b.effect, b.why) for b in one.shown),
         gap_map=_gap_map(source, one),
         lacking=drawn_states(one.states),
-        scan=(*source.facts, ("Noise", _law_of_noise(one.simulator, one.shared))),
+        scan=(*source.facts, *_settings(one.simulator), ("Noise", _law_of_noise(one.simulator, one.shared))),
         warnings=_warnings(source, one),
         command_line=command_line,
     )
+
+
+def _settings(simulator: RegionalSimulator) -> tuple[tuple[str, str], ...]:
+    """What stands beside the sizes of included effects, in the middle of the regions."""
+    found = []
+    for effect in simulator.includes:
+        for symbol, value in simulator.settings.get(effect.name, {}).items():
+            unit = effect.parameters[symbol].unit
+            text = f"{symbol} {float(np.median(value)):.3g}" + ("" if unit == "1" else f" {unit}")
+            found.append((f"Included {effect.name}", text))
+    return tuple(found)
 
 
 def _law_of_noise(simulator: RegionalSimulator, shared: SharedLaw | None) -> str:

@@ -1,0 +1,77 @@
+"""Settings of effects that a simulator includes: onsets, frames and the like, as the engine fits them as hypotheses.
+
+Amplitudes are refitted with the kinetics in every comparison, settings are found once a scan and then stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.diagnosis import Base, Hypothesis, base_fit
+from petkin.diagnosis.diagnose import scan_of
+from petkin.diagnosis.scan import templates
+from petkin.diagnosis.which import singles
+from petkin.effects import Effect
+from petkin.study.diagnosis.regional import RegionalSimulator, form_of, hypothesis_of
+
+Array = NDArray[np.float64]
+
+
+def settled(simulator: RegionalSimulator, values: Array) -> RegionalSimulator:
+    """The simulator with the likeliest settings of the effects that it includes.
+
+    One effect after another, each beside all that have no setting and those found before; of several once more, since
+    the first was found without the others.
+
+    Args:
+        simulator: with its included effects.
+        values: curves (R, K).
+    """
+    unsettled = [effect for effect in simulator.sized if any(hypothesis_of(effect, simulator).settings)]
+    names = {effect.name for effect in unsettled}
+    found: dict[str, Mapping[str, Any]] = {}
+    for effect in unsettled * min(len(unsettled), 2):
+        found.pop(effect.name, None)
+        beside = tuple(e for e in simulator.includes if e.name in found or e.name not in names)
+        found[effect.name] = _setting(replace(simulator, includes=beside, settings=dict(found)), values, effect)
+    return replace(simulator, settings=found) if found else simulator
+
+
+def in_picture(simulator: RegionalSimulator, values: Array, based: Base) -> tuple[RegionalSimulator, Base]:
+    """The simulator with the effects that it includes as a picture tells of them, and its fit; both as they were where
+    none is told otherwise.
+
+    Args:
+        simulator: which knows what motion adds to regions.
+        values: curves (R, K).
+        based: what `base_fit` finds without the picture.
+    """
+    model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
+    forms = tuple(form_of(effect, model) for effect in simulator.includes)
+    if forms == simulator.includes:
+        return simulator, based
+    simulator = settled(replace(simulator, includes=forms, settings={}), values)
+    return simulator, base_fit(simulator, values)
+
+
+def _setting(simulator: RegionalSimulator, values: Array, effect: Effect) -> Mapping[str, Any]:
+    """Of an effect that the simulator lacks, after its refit; none where it could not be seen."""
+    based = base_fit(simulator, values)
+    base, noise, *_ = based
+    hypothesis = hypothesis_of(effect, simulator)
+    if not _seen(simulator, based, hypothesis):
+        return {}
+    (best, *_) = singles(simulator, values, noise, base, scan_of(simulator, noise, base, [hypothesis]))
+    return best.terms[0].setting
+
+
+def _seen(simulator: RegionalSimulator, based: Base, hypothesis: Hypothesis) -> bool:
+    """Whether a hypothesis changes any value at any of its settings."""
+    base, noise, *_ = based
+    each = (replace(hypothesis, settings=(setting,)) for setting in hypothesis.settings)
+    return any(np.any(t.columns) for one in each for t in templates(simulator, noise, base, [one]))

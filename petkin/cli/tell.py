@@ -59,7 +59,10 @@ def tell_errors(fitted: Sequence[Fitted], study: Path) -> None:
 
 
 def tell_diagnoses(found: Sequence[Diagnosed]) -> None:
-    """The verdict on every scan in a sentence, what would split it, and where the reports are."""
+    """What is odd about the files, as no verdict is better than they are; the verdict on every scan in a sentence, what
+    would split it, and where the reports are."""
+    for line in _remarks(found):
+        print(line)
     for one in found:
         print(f"{one.label}: {one.answer['verdict']['sentence']}")
         if one.answer["verdict"]["split_by"]:
@@ -85,7 +88,7 @@ def _table(*left: str, right: Sequence[str]) -> Table:
     return table
 
 
-def _remarks(fitted: Sequence[Fitted]) -> list[str]:
+def _remarks(fitted: Sequence[Fitted] | Sequence[Diagnosed]) -> list[str]:
     """Warnings of one scan in full; of several scans the first of each kind, and how many are like it."""
     from petkin.study.inspect import group
 

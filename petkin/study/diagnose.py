@@ -29,6 +29,7 @@ from petkin.imaging import FrameObservation
 from petkin.io import (
     AtomicFolder,
     RegionalCurves,
+    Remark,
     json_text,
     require_cover,
     write_bytes,
@@ -76,11 +77,12 @@ _LAWS = 0.2
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What came of one scan: its label, the answer, and where the report is."""
+    """What came of one scan: its label, the answer, where the report is, and what was odd about the files."""
 
     label: str
     answer: dict[str, Any]
     report: Path
+    remarks: tuple[Remark, ...] = ()
 
 
 def _silent(_: str, __: float) -> None:
@@ -135,7 +137,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
                 write_map(folder.path(path), one.gap, source.image.affine, gap_map_sidecar(one.found))
             if one.states is not None:
                 write_states(folder, source, one.states, request)
-        written.append(Diagnosed(source.label, text, out / relative))
+        written.append(Diagnosed(source.label, text, out / relative, source.remarks))
         cohort.append(Member.of(source.label, one.found))
     if len(cohort) > 1:
         written.append(_cohort(cohort, written, out, name, request, laws, together))

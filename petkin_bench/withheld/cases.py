@@ -69,6 +69,8 @@ class Answer:
         ceiling: probability that a matched filter names the class.
         frame: of the onset, or the one that is concerned; -1 for none.
         region: the one in which it acts; -1 for all.
+        size: of one cause, without its sign; 0 for none, two, or what has no size.
+        onset: of one cause, min; -1 for none.
         clean: values without noise (R, K).
     """
 
@@ -83,6 +85,8 @@ class Answer:
     ceiling: float
     frame: int
     region: int
+    size: float
+    onset: float
     clean: Array
 
 
@@ -110,7 +114,7 @@ def scan_of(subject: Subject, simulator: Simulator, values: Array) -> Scan:
 def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, Simulator, Answer]:
     if kind == "none":
         clean = observe(scene.subject)
-        nothing = Answer(kind, noise, scene.percent, (), (), (), 0.0, 0.0, 0.0, -1, -1, clean)
+        nothing = Answer(kind, noise, scene.percent, (), (), (), 0.0, 0.0, 0.0, -1, -1, 0.0, -1.0, clean)
         return scene.subject, scene.simulator, nothing
     if kind == "pair":
         return _pair(scene, noise)
@@ -144,6 +148,8 @@ def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, S
         ceiling=ceiling,
         frame=frame,
         region=region,
+        size=0.0 if cause.flag else made.size,
+        onset=made.drawn.onset if cause.onset else -1.0,
         clean=made.values,
     )
     return made.subject, made.simulator, answer
@@ -213,6 +219,8 @@ def _pair(scene: Scene, noise: str) -> tuple[Subject, Simulator, Answer]:
             ceiling=0.0,
             frame=-1,
             region=-1,
+            size=0.0,
+            onset=-1.0,
             clean=values,
         )
         return scene.subject, scene.simulator, answer

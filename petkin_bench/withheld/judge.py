@@ -72,6 +72,7 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         "stage": next(iter(found.stages), ""),
         "onset_frame": -1 if frame is None else frame,
         "regions": ";".join(str(r) for r in np.flatnonzero(found.claims(found.regions) <= PART)),
+        **_sizes(found),
         "evidence": ";".join(f"{c.label}:{c.log_evidence:.3f}" for c in found.causes),
         "unknown_evidence": round(found.unknown_evidence, 3),
         "closure": "" if closed is None else closed.value,
@@ -80,6 +81,19 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         "closed": "" if leader is None else _closed(found, simulator, clean),
         "seconds": round(seconds, 3),
     }
+
+
+def _sizes(found: Diagnosis) -> dict[str, object]:
+    """Amplitude and onset of a likeliest cause that is one effect, each with its interval; "" where there is none."""
+    leader = found.causes[0] if found.causes else None
+    known = {e.symbol: e for e in leader.estimates} if leader is not None and len(leader.effects) == 1 else {}
+    row: dict[str, object] = {}
+    for symbol in ("amplitude", "onset"):
+        one = known.get(symbol)
+        row |= {symbol: "", f"{symbol}_low": "", f"{symbol}_high": ""}
+        if one is not None:
+            row |= {symbol: one.value, f"{symbol}_low": one.low, f"{symbol}_high": one.high}
+    return row
 
 
 def said_of(found: Diagnosis | Cohort) -> dict[str, object]:

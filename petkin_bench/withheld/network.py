@@ -152,6 +152,7 @@ def network_verdict(scan: Scan, path: Path) -> dict[str, object]:
         "stage": stages.get(leader, ""),
         "onset_frame": -1,
         "regions": "",
+        **dict.fromkeys(("amplitude", "amplitude_low", "amplitude_high", "onset", "onset_low", "onset_high"), ""),
         "evidence": "",
         "unknown_evidence": 0.0,
         "closure": "",

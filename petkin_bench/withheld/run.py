@@ -102,7 +102,7 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
     from petkin_bench.withheld.judge import ideal, verdict
 
     scan, truth = case(plan.split, plan.seed, index, plan.regions, plan.frames)
-    answer = {"index": index} | row_of(truth)
+    answer = {"index": index} | row_of(truth) | {"size": round(truth.size, 6), "sets_in": round(truth.onset, 4)}
     if plan.without == ENGINE:
         from petkin_bench.withheld.network import network_verdict
 

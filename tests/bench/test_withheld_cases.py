@@ -132,6 +132,8 @@ def judged(**cells: object) -> Judged:
         "perpendicular": 0.0, "frame": -1, "region": -1, "verdict": "named", "leader": "a", "leader_probability": 0.9,
         "set": "a", "set_probability": 0.95, "unknown_probability": 0.02, "stage": "clock", "onset_frame": -1,
         "regions": "", "closure": 0.9, "closure_low": 0.7, "closure_high": 1.0, "closed": 0.95, "seconds": 1.0,
+        "names": "a", "size": 0.0, "sets_in": -1.0, "amplitude": "", "amplitude_low": "", "amplitude_high": "",
+        "onset": "", "onset_low": "", "onset_high": "",
     }  # fmt: skip
     return Judged({name: str(value) for name, value in (usual | cells).items()})
 
@@ -158,6 +160,41 @@ def test_scores_stand_beside_their_bars() -> None:
     assert found["set covers, d' >= 6, at least"].cases == 2
     assert found["pairs: both named"].met is None
     assert "class first" in text_of(list(found.values()))
+
+
+def test_sizes_are_those_of_the_very_name_whatever_their_sign() -> None:
+    """One that is near and held, one whose interval misses it, one of another name, one of another form."""
+    step = {
+        "names": "gain_step",
+        "leader": "gain_step",
+        "classes": "gain_step|gain_drift",
+        "size": 0.05,
+        "sets_in": 30.0,
+    }
+    held = {"amplitude": -0.046, "amplitude_low": -0.052, "amplitude_high": -0.04}
+    missed = {"amplitude": 0.09, "amplitude_low": 0.08, "amplitude_high": 0.1}
+    early = {"onset": 28.0, "onset_low": 27.0, "onset_high": 29.0}
+    late = {"onset": 31.0, "onset_low": 29.0, "onset_high": 32.0}
+    cases = [
+        judged(**step | held | late),
+        judged(**step | missed | early),
+        judged(**step | missed | early | {"leader": "gain_drift"}),
+        judged(**step | missed | late | {"kind": "other form"}),
+    ]
+    found = {m.name: (m.value, m.cases) for m in metrics(cases)}
+    assert found["amplitude within 0.20"] == (0.5, 2)
+    assert found["amplitude interval holds it"] == (0.5, 2)
+    assert found["onset interval holds it"] == (0.5, 2)
+
+
+def test_an_answer_says_how_large_and_from_when_on() -> None:
+    answers = [case("training", 11, index)[1] for index in range(12)]
+    for answer in answers:
+        assert (answer.onset >= 0) == (answer.onset > 0)
+        assert answer.onset < 0 or answer.frame >= 0
+        assert (answer.size > 0) <= (answer.kind not in ("none", "pair"))
+    assert any(answer.onset > 0 for answer in answers)
+    assert any(answer.size > 0 for answer in answers)
 
 
 def test_areas_and_calibration_by_hand() -> None:

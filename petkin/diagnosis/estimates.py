@@ -35,11 +35,12 @@ _SLIGHT = 0.02
 
 
 def estimates(candidate: Candidate, simulator: Simulator, base: Fit, noise: Noise) -> tuple[Estimate, ...]:
-    """Amplitude, onset and numbers of every effect of a cause, one effect after the other."""
+    """Amplitude, onset and numbers of every effect of a cause, one effect after the other; where more than noise is left,
+    errors are as much larger."""
     fit = candidate.fit
     if fit is None:
         return ()
-    known, error = len(base.state.terms), _errors(fit)
+    known, error = len(base.state.terms), _errors(fit) * _beyond(fit) ** 0.5
     found: list[Estimate] = []
     placed = zip(fit.state.terms[known:], columns_of(fit, len(simulator.channels), known))
     for term, place in sorted(placed, key=lambda both: both[0].hypothesis.name):
@@ -58,13 +59,18 @@ def _errors(fit: Fit) -> Array:
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
+def _beyond(fit: Fit) -> float:
+    """Chi-square a degree of freedom, at least 1."""
+    return max(fit.chi2 / max(fit.residual.size - fit.jacobian.shape[1], 1), 1.0)
+
+
 def _onset(term: Term, fit: Fit, places: Mapping[str, slice], simulator: Simulator, noise: Noise) -> Estimate:
     """With the interval that holds 0.9 of its probability, any time as likely beforehand.
 
     Values bend where an onset passes from one sample to the next, so that the curvature at the fit says little. What
     they are at another onset t is predicted; amplitudes and all else follow by one linear step:
 
-        ln p(t) = -1/2 min_x { |r - d(t) - J(t) x|^2 + prior }
+        ln p(t) = -1/2 min_x { |r - d(t) - J(t) x|^2 + prior } / max(chi2 / dof, 1)
     """
     onset, bounds = float(term.setting["onset"]), shape_of(term, "onset")
     width = float(np.clip(_errors(fit)[places["onset"]][0], *_WIDTHS))
@@ -83,7 +89,7 @@ def _onset(term: Term, fit: Fit, places: Mapping[str, slice], simulator: Simulat
         slope = jacobian.T @ left + np.sqrt(fit.penalty) * fit.pulled
         normal = jacobian.T @ jacobian + np.diag(fit.penalty)
         normal[places["onset"], places["onset"]] = 1.0
-        log[i] = 0.5 * (slope @ np.linalg.solve(normal, slope) - left @ left)
+        log[i] = 0.5 * (slope @ np.linalg.solve(normal, slope) - left @ left) / _beyond(fit)
     fine = np.union1d(times, np.linspace(times[0], times[-1], _FINE))
     density = np.exp(np.interp(fine, times, log - log.max()))
     below = np.concatenate([np.zeros(1), np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fine))])

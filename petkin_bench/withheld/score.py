@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 #: probability that is sure of a name.
 _STRONG, _BEYOND, _SURE = 6.0, 5.0, 0.9
 _CALIBRATION_BINS = 5
-#: How near a size must be; causes whose size the generator means as the catalogue does: of a delay that is withheld from
-#: the simulator it is a share of three minutes.
+#: How near a size must be; causes whose size the generator means as the catalogue does: a delay that is withheld from
+#: the simulator is a share of three minutes.
 _NEAR = 0.2
 _SIZED = frozenset(c.name for c in KNOWN if not c.flag) - {"arterial_delay"}
 

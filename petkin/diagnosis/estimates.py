@@ -35,8 +35,8 @@ _SLIGHT = 0.02
 
 
 def estimates(candidate: Candidate, simulator: Simulator, base: Fit, noise: Noise) -> tuple[Estimate, ...]:
-    """Amplitude, onset and numbers of every effect of a cause, one effect after the other; where more than noise is left,
-    errors are as much larger."""
+    """Amplitude, onset and numbers of every effect of a cause, one effect after the other; errors are larger where more
+    than noise is left."""
     fit = candidate.fit
     if fit is None:
         return ()

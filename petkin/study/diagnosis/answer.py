@@ -192,7 +192,9 @@ def _p(found: Diagnosis) -> str:
 
 def _hidden(found: Diagnosis) -> str:
     """What may hide where no gap is claimed."""
-    if len(found.channels) < 2 or found.noise.share < _MUCH:
+    if len(found.channels) < 2:
+        return "; one region says little of its own noise, which can hide a gap: give more if there are"
+    if found.noise.share < _MUCH:
         return ""
     return f"; what regions of a frame have in common, {found.noise.share:.0%} of the noise, could hide a change of all"
 

@@ -17,9 +17,11 @@ strengths of its own (B(t), see `evidence`),
 
 So what is too weak in each is told by all where their strengths agree, and a member that shows none of a cause that is
 strong elsewhere does not have it weakly. Where strengths differ between channels they have nothing in common. The mean
-strength that is said is that of DerSimonian and Laird.
+strength that is said is that of DerSimonian and Laird; its interval is theirs, or that of Student's t with the spread
+that is seen (Hartung, Knapp), whichever is wider: a spread that few members tell is itself unsure.
 
-Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Clin Trials 1986;7:177-188.
+Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Clin Trials 1986;7:177-188; Knapp G,
+Hartung J. Stat Med 2003;22:2693-2710.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from petkin.diagnosis.any_gap import any_gap
 from petkin.diagnosis.detect import CLAIM, AgainstNoise
@@ -254,15 +257,10 @@ def _about_the_same(own: Array, strengths: Sequence[Strength | None]) -> Array:
 
 @dataclass(frozen=True)
 class _Pooled:
-    """Strengths together: their mean with its error, and the spread between members beyond their own errors."""
+    """Strengths together: their mean with its 90 % interval, and the spread between members beyond their own errors."""
 
-    mean: float
-    error: float
+    interval: Interval
     between: float
-
-    @property
-    def interval(self) -> Interval:
-        return Interval(self.mean, self.mean - _Z90 * self.error, self.mean + _Z90 * self.error)
 
 
 def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
@@ -276,8 +274,10 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
     excess = weight @ (values - fixed) ** 2 - (len(values) - 1)
     spread = max(excess / (weight.sum() - (weight**2).sum() / weight.sum()), 0.0)
     weight = 1.0 / (variance + spread)
-    mean, error = float((weight @ values) / weight.sum()), float(weight.sum() ** -0.5)
-    return _Pooled(mean, error, float(np.sqrt(spread)))
+    mean = float((weight @ values) / weight.sum())
+    seen = (weight @ (values - mean) ** 2) / (len(values) - 1)
+    half = float(max(_Z90, stdtrit(len(values) - 1, _TAILS[1]) * np.sqrt(seen)) * weight.sum() ** -0.5)
+    return _Pooled(Interval(mean, mean - half, mean + half), float(np.sqrt(spread)))
 
 
 def _error(strength: Estimate) -> float:

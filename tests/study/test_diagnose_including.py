@@ -59,6 +59,24 @@ def test_a_step_far_from_the_usual_onset_is_taken_whole(tmp_path: Path) -> None:
     assert f"onset {onset:.3g} min" in page
 
 
+def test_the_answer_says_how_large_included_effects_are(tmp_path: Path) -> None:
+    study = simulated(tmp_path, "gain_step=0.1,onset=70", "arterial_delay=8")
+    request = DiagnoseRequest(study, include=(*INCLUDES, "gain_step"), out=tmp_path / "out")
+    (one,) = diagnose_study(request)
+    fitted = one.answer["simulator"]["fitted"]
+    by_name = {(e["effect"], e["symbol"]): e for e in fitted}
+    gain, delay = by_name["gain_step", "gain"], by_name["arterial_delay", "delay"]
+    assert gain["low"] - 0.01 < 0.1 < gain["high"] + 0.01
+    assert delay["low"] - 0.5 < 8.0 < delay["high"] + 0.5
+    assert delay["unit"] == "s"
+    assert by_name["gain_step", "onset"]["value"] == pytest.approx(70.0, abs=1.0)
+    assert "low" not in by_name["gain_step", "onset"]
+    volumes = [e for e in fitted if e["effect"] == "blood_volume"]
+    assert [e["region"] for e in volumes] == list(prepared(sources_of(request)[2][0], request)[0].names)
+    assert all(0.0 < e["low"] < e["value"] < e["high"] < 0.3 for e in volumes)
+    assert f"delay {delay['value']:.3g} s ({delay['low']:.3g} to {delay['high']:.3g})" in one.report.read_text()
+
+
 def test_every_region_has_its_own_amplitude(mismatched: Path, tmp_path: Path) -> None:
     curves, simulator = ready(mismatched, "attenuation_mismatch")
     assert simulator.settings["attenuation_mismatch"]["onset"] == pytest.approx(LATE, abs=2.0)

@@ -15,6 +15,7 @@ from petkin.effects import effect_named
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.imaging import PLANES
 from petkin.kinetics import compartment_model
+from petkin.study.diagnosis.including import Included, included
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
 from petkin.study.diagnosis.sidecar import Blunder
 from petkin.study.diagnosis.state import StatesRead
@@ -63,7 +64,11 @@ def answer(
         {
             "schema": SCHEMA,
             "subject": subject,
-            "simulator": {"model": model.lower(), "includes": [e.name for e in simulator.includes]},
+            "simulator": {
+                "model": model.lower(),
+                "includes": [e.name for e in simulator.includes],
+                "fitted": [_included(one) for one in included(simulator, found.base)],
+            },
             "gap": {
                 "present": found.present,
                 "p_value": found.p_value,
@@ -85,6 +90,13 @@ def answer(
             "provenance": {"petkin": __version__, "seed": seed, "seconds": seconds},
         }
     )
+
+
+def _included(one: Included) -> dict[str, Any]:
+    entry: dict[str, Any] = {"effect": one.effect, "symbol": one.symbol, "value": one.value, "unit": one.unit}
+    if one.low is not None:
+        entry |= {"low": one.low, "high": one.high}
+    return entry | ({"region": one.region} if one.region else {})
 
 
 def _where(found: Diagnosis, simulator: RegionalSimulator, states: StatesRead | None) -> dict[str, Any]:

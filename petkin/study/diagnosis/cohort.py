@@ -20,7 +20,7 @@ def cohort_answer(found: Cohort, answers: Sequence[dict[str, Any]], *, seed: int
     return rounded(
         {
             "schema": SCHEMA,
-            "simulator": answers[0]["simulator"],
+            "simulator": {key: answers[0]["simulator"][key] for key in ("model", "includes")},
             "gap": {"present": found.present, "p_value": found.p_value},
             "members": [_member(member.label, one) for member, one in zip(found.members, answers, strict=True)],
             "causes": [_cause(cause, found) for cause in found.causes],

@@ -1,25 +1,89 @@
-"""Settings of effects that a simulator includes: onsets, frames and the like, as the engine fits them as hypotheses.
+"""Effects that a simulator includes: what they are set to, and how large the refit makes them.
 
-Amplitudes are refitted with the kinetics in every comparison, settings are found once a scan and then stand.
+Settings, such as onsets and frames, are found once a scan, as the engine fits them as hypotheses, and then stand;
+amplitudes are refitted with the kinetics in every comparison.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Base, Hypothesis, base_fit
+from petkin.diagnosis import Base, Fit, Hypothesis, base_fit
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.scan import templates
 from petkin.diagnosis.which import singles
 from petkin.effects import Effect
-from petkin.study.diagnosis.regional import RegionalSimulator, form_of, hypothesis_of
+from petkin.study.diagnosis.regional import RegionalSimulator, form_of, hypothesis_of, width
 
 Array = NDArray[np.float64]
+
+_Z90, _SIDES = 1.6448536269514722, np.array([-1.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Included:
+    """One quantity of an included effect, with its 90 % interval where it is refitted.
+
+    Args:
+        effect, symbol, unit: which.
+        value: of it.
+        low, high: its interval; None of a setting.
+        region: the one that it belongs to; "" of all.
+    """
+
+    effect: str
+    symbol: str
+    unit: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+    region: str = ""
+
+
+def included(simulator: RegionalSimulator, fit: Fit) -> tuple[Included, ...]:
+    """What the simulator's own refit makes of the effects that it includes, in their order.
+
+    Args:
+        simulator: with its included effects.
+        fit: of the simulator alone.
+    """
+    errors = np.sqrt(np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))))[: fit.nuisance]
+    own, shared = errors[: fit.state.own.size].reshape(fit.state.own.shape), errors[fit.state.own.size :]
+    found: list[Included] = []
+    for effect in simulator.includes:
+        symbol = effect.amplitude.symbol
+        name = symbol if effect.name in simulator.logarithmic else effect.name
+        sizes = _sizes(simulator, effect)
+        if name in simulator.shared.symbols:
+            i = simulator.shared.symbols.index(name)
+            found.append(_of(effect, sizes(fit.state.shared[i] + _Z90 * shared[i] * _SIDES)))
+        elif name in simulator.own.symbols:
+            i = simulator.own.symbols.index(name)
+            ends = fit.state.own[:, i, None] + _Z90 * own[:, i, None] * _SIDES
+            found += [_of(effect, sizes(row), region) for region, row in zip(simulator.channels, ends, strict=True)]
+        for symbol, value in simulator.settings.get(effect.name, {}).items():
+            unit = effect.parameters[symbol].unit
+            regions = simulator.channels if np.ndim(value) else ("",)
+            each = zip(regions, np.atleast_1d(value), strict=True)
+            found += [Included(effect.name, symbol, unit, float(one), region=region) for region, one in each]
+    return tuple(found)
+
+
+def _sizes(simulator: RegionalSimulator, effect: Effect) -> Callable[[Array], Array]:
+    """From coordinates of the refit to amplitudes."""
+    if effect.name in simulator.logarithmic:
+        return np.exp
+    return lambda widths: np.clip(widths * width(effect), *simulator.limits[effect.name])
+
+
+def _of(effect: Effect, ends: Array, region: str = "") -> Included:
+    low, value, high = map(float, ends)
+    return Included(effect.name, effect.amplitude.symbol, effect.amplitude.unit, value, low, high, region)
 
 
 def settled(simulator: RegionalSimulator, values: Array) -> RegionalSimulator:

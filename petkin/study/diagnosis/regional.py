@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -133,8 +133,14 @@ class RegionalSimulator:
     def _regional(self) -> tuple[Effect, ...]:
         return tuple(e for e in self.sized if e.regional)
 
+    @property
+    def logarithmic(self) -> Collection[str]:
+        """Names of effects that a region has for itself on a log scale."""
+        return _OWN.keys()
+
     @cached_property
-    def _limits(self) -> dict[str, tuple[float, float]]:
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Where amplitudes of included effects may lie, by name."""
         return {e.name: hypothesis_of(e, self).limits for e in self.sized}
 
     @property
@@ -190,7 +196,7 @@ class RegionalSimulator:
         sizes = dict(zip(self.shared.symbols, shared))
         sizes |= {effect.name: own[..., count + i] for i, effect in enumerate(self._regional)}
         for effect in self.sized:
-            amplitude = np.clip(sizes[effect.name] * width(effect), *self._limits[effect.name])
+            amplitude = np.clip(sizes[effect.name] * width(effect), *self.limits[effect.name])
             setting = self.settings.get(effect.name, {})
             model = effect.inject(model, {effect.amplitude.symbol: amplitude, **setting})
         return model

@@ -13,6 +13,7 @@ from petkin.diagnosis.refit import Fit
 from petkin.fitting import Status
 from petkin.io import RegionalCurves
 from petkin.reporting import GapReport, MapSet, ParameterMap, RegionCurves
+from petkin.study.diagnosis.including import included
 from petkin.study.diagnosis.regional import PRIOR, RegionalSimulator
 from petkin.study.diagnosis.shared_law import SharedLaw
 from petkin.study.diagnosis.sidecar import Blunder
@@ -69,21 +70,26 @@ def gap_report(
         shown=tuple((b.effect, b.why) for b in one.shown),
         gap_map=_gap_map(source, one),
         lacking=drawn_states(one.states),
-        scan=(*source.facts, *_settings(one.simulator), ("Noise", _law_of_noise(one.simulator, one.shared))),
+        scan=(*source.facts, *_included(one), ("Noise", _law_of_noise(one.simulator, one.shared))),
         warnings=_warnings(source, one),
         command_line=command_line,
     )
 
 
-def _settings(simulator: RegionalSimulator) -> tuple[tuple[str, str], ...]:
-    """What stands beside the sizes of included effects, in the middle of the regions."""
-    found = []
-    for effect in simulator.includes:
-        for symbol, value in simulator.settings.get(effect.name, {}).items():
-            unit = effect.parameters[symbol].unit
-            text = f"{symbol} {float(np.median(value)):.3g}" + ("" if unit == "1" else f" {unit}")
-            found.append((f"Included {effect.name}", text))
-    return tuple(found)
+def _included(one: Judged) -> tuple[tuple[str, str], ...]:
+    """What the refit makes of included effects; of what regions have for themselves the middle, and how far it goes."""
+    found: dict[str, list[str]] = {}
+    every = included(one.simulator, one.found.base)
+    for effect, symbol in dict.fromkeys((e.effect, e.symbol) for e in every):
+        mine = [e for e in every if (e.effect, e.symbol) == (effect, symbol)]
+        values, unit = [e.value for e in mine], "" if mine[0].unit == "1" else f" {mine[0].unit}"
+        text = f"{symbol} {float(np.median(values)):.3g}{unit}"
+        if len(mine) > 1:
+            text += f" ({min(values):.3g} to {max(values):.3g} over the regions)"
+        elif mine[0].low is not None:
+            text += f" ({mine[0].low:.3g} to {mine[0].high:.3g})"
+        found.setdefault(effect, []).append(text)
+    return tuple((f"Included {effect}", "; ".join(texts)) for effect, texts in found.items())
 
 
 def _law_of_noise(simulator: RegionalSimulator, shared: SharedLaw | None) -> str:

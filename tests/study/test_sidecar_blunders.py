@@ -167,6 +167,22 @@ def test_times_that_are_legal_count_for_nothing(fields: dict[str, Any]) -> None:
     assert only_said(blunders(sidecar(**fields)), "frame_offset")
 
 
+def test_a_wrong_half_life_counts_for_nothing_where_factors_show_that_it_was_not_used() -> None:
+    found = blunders(sidecar(radionuclide_half_life=109.77 * 60))
+    assert only_said(found, "half_life_error")
+    assert "as that of F18 is" in found[0].why
+    assert "corrected as they should be" in found[0].why
+    (without,) = blunders(sidecar(radionuclide_half_life=109.77 * 60, decay_correction_factor=None))
+    assert without.sure
+
+
+def test_factors_of_one_are_right_where_next_to_nothing_decays() -> None:
+    slow = {"tracer_radionuclide": "Zr89", "decay_correction_factor": (1.0,) * 12}
+    hours = half_life("Zr89") / 60.0
+    assert 1.0 / hours * math.log(2) < 0.01
+    assert blunders(sidecar(**slow)) == ()
+
+
 def test_factors_of_one_mean_that_nothing_was_corrected() -> None:
     assert named(decay_correction_factor=(1.0,) * 12) == ["decay_not_applied"]
 

@@ -24,6 +24,8 @@ _MEAN_LIFE = (1.0 / math.log(2.0), "mean_life_swap")
 #: Growth of the stated factors over that of the nuclide, what it means, and how far off it may lie.
 _GROWTHS = (_MEAN_LIFE, (2.0, "decay_applied_twice"), (0.0, "decay_not_applied"))
 _SAME_GROWTH, _RIGHT_GROWTH = 0.03, 0.002
+#: Factors that tell how they grow, at least.
+_ENOUGH = 3
 #: Relative error within which a half-life is another nuclide's, as tables of it differ.
 _SAME_NUCLIDE = 0.02
 #: Share of the decay correction, from its reference to the far end of the scan, below which a change is slight.
@@ -73,20 +75,24 @@ def _growth(sidecar: PetSidecar) -> list[Blunder]:
     if factors is None or not sidecar.image_decay_corrected:
         return []
     if np.allclose(factors, 1.0):
+        if _decayed(sidecar) < _SLIGHT:
+            return []
         return [
             Blunder("decay_not_applied", _PROVED, f"{field} is 1 in every frame though ImageDecayCorrected is true")
         ]
     growth = _grown(sidecar)
+    if growth is None:
+        return []
     grown = f"{field} grows {growth:.4g} times as fast as {sidecar.nuclide} decays"
     grown += "".join(f", as those of {other} would" for other in _others(sidecar.nuclide, growth))
     return _meant(sidecar, growth, grown, _PROVED, _GROWTHS)
 
 
-def _grown(sidecar: PetSidecar) -> float:
-    """lam' / lam of stated factors; 1 where they are missing or too few to tell."""
+def _grown(sidecar: PetSidecar) -> float | None:
+    """lam' / lam of stated factors; None where they are missing or too few to tell."""
     factors, start, duration = stated_factors(sidecar)[1], *_times(sidecar)
-    if factors is None or len(factors) < 3:
-        return 1.0
+    if factors is None or len(factors) < _ENOUGH:
+        return None
     return implied_constant(factors, start, duration) / _natural(sidecar)
 
 
@@ -96,9 +102,7 @@ def _meant(
     """What a correction means that grows so many times as fast as the nuclide decays; nothing where it is right."""
     if abs(growth - 1.0) < _RIGHT_GROWTH:
         return []
-    start, duration = _times(sidecar)
-    reach = np.abs(np.array([start[0], start[-1] + duration[-1]]) - (sidecar.image_decay_correction_time or 0.0)).max()
-    change = abs(growth - 1.0) * _natural(sidecar) * float(reach)
+    change = abs(growth - 1.0) * _decayed(sidecar)
     if change < _SLIGHT or _in_use(sidecar.nuclide, growth):
         return [_said("half_life_error", f"{why}, which changes the decay correction by {100 * change:.2g} % at most")]
     for ratio, effect in known:
@@ -106,6 +110,13 @@ def _meant(
             meaning = ", as with the half-life taken for the mean life" if effect == _MEAN_LIFE[1] else ""
             return [Blunder(effect, odds, why + meaning)]
     return [Blunder("half_life_error", odds, why)]
+
+
+def _decayed(sidecar: PetSidecar) -> float:
+    """lam t from the decay reference to the far end of the scan."""
+    start, duration = _times(sidecar)
+    ends = np.array([start[0], start[-1] + duration[-1]])
+    return _natural(sidecar) * float(np.abs(ends - (sidecar.image_decay_correction_time or 0.0)).max())
 
 
 def _said(effect: str, why: str) -> Blunder:
@@ -153,6 +164,10 @@ def _half_life(sidecar: PetSidecar) -> list[Blunder]:
         return []
     why = f"RadionuclideHalfLife is {stated:g} s but that of {sidecar.nuclide} is {natural:.6g} s"
     why += "".join(f", as that of {other} is" for other in _others(sidecar.nuclide, natural / stated))
+    grown = _grown(sidecar)
+    if grown is not None and abs(grown - 1.0) < _RIGHT_GROWTH < abs(natural / stated - 1.0):
+        why += f"; {stated_factors(sidecar)[0]} shows that values were corrected as they should be"
+        return [_said("half_life_error", why)]
     return _meant(sidecar, natural / stated, why, _CONTRADICTED, (_MEAN_LIFE,))
 
 
@@ -215,12 +230,14 @@ def _references(sidecar: PetSidecar) -> tuple[str, NDArray[np.float64]]:
     """
     field, factors = stated_factors(sidecar)
     growth = _growth(sidecar)
-    if factors is None or not sidecar.image_decay_corrected or any(found.odds > _SAID for found in growth):
+    if factors is None or not sidecar.image_decay_corrected or np.allclose(factors, 1.0):
+        return field, np.zeros(0)
+    if any(found.odds > _SAID for found in growth):
         return field, np.zeros(0)
     natural = half_life(sidecar.nuclide) * SECONDS_PER_MINUTE
     lives = [sidecar.radionuclide_half_life or natural, natural]
-    if growth:
-        ratio = _grown(sidecar)
+    ratio = _grown(sidecar)
+    if growth and ratio is not None:
         if abs(ratio - 1.0) > _SAME_NUCLIDE:  # so little decay that rounding may have made it
             return field, np.zeros(0)
         lives.append(natural / ratio)

@@ -16,7 +16,7 @@ from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states
 from petkin.diagnosis.unknown import DRIVE, ONE, WITHIN, Elsewhere
-from petkin.diagnosis.verdict import Cause, Diagnosis, Estimate, Strength
+from petkin.diagnosis.verdict import Z90, Cause, Diagnosis, Estimate, Strength
 from petkin.diagnosis.where import PART
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "ONE",
     "PART",
     "WITHIN",
+    "Z90",
     "Base",
     "Best",
     "Cause",

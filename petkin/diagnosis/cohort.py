@@ -38,14 +38,14 @@ from petkin.diagnosis.detect import CLAIM, AgainstNoise
 from petkin.diagnosis.evidence import SECOND, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.sets import smallest_set
-from petkin.diagnosis.verdict import Diagnosis, Estimate, Strength
+from petkin.diagnosis.verdict import Z90, Diagnosis, Estimate, Strength
 
 Array = NDArray[np.float64]
 
 #: Prevalences tried, from where a cause is shared rather than chance; the chance that a member without it has no gap.
 _PREVALENCES = np.linspace(0.15, 0.99, 43)
 _NO_GAP = 0.5
-_TAILS, _Z90 = (0.05, 0.95), 1.6448536269514722
+_TAILS = (0.05, 0.95)
 _LISTED, _NEGLIGIBLE = 8, 0.005
 #: Probability from which on a member's strength counts among the carriers'.
 _CARRY = 0.5
@@ -276,12 +276,12 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
     weight = 1.0 / (variance + spread)
     mean = float((weight @ values) / weight.sum())
     seen = (weight @ (values - mean) ** 2) / (len(values) - 1)
-    half = float(max(_Z90, stdtrit(len(values) - 1, _TAILS[1]) * np.sqrt(seen)) * weight.sum() ** -0.5)
+    half = float(max(Z90, stdtrit(len(values) - 1, _TAILS[1]) * np.sqrt(seen)) * weight.sum() ** -0.5)
     return _Pooled(Interval(mean, mean - half, mean + half), float(np.sqrt(spread)))
 
 
 def _error(strength: Estimate) -> float:
-    return max((strength.high - strength.low) / (2.0 * _Z90), 1e-6)
+    return max((strength.high - strength.low) / (2.0 * Z90), 1e-6)
 
 
 def _alike(members: Sequence[Member]) -> dict[frozenset[str], float]:

@@ -18,10 +18,10 @@ from petkin.diagnosis import evidence
 from petkin.diagnosis.departures import Departure, judge_departures
 from petkin.diagnosis.detect import p_value
 from petkin.diagnosis.families import Family, root, scored
+from petkin.diagnosis.verdict import Z90
 
 Array = NDArray[np.float64]
 
-_Z90 = 1.6448536269514722
 _TINY = 1e-300
 
 
@@ -141,5 +141,5 @@ def _mean(logs: Array) -> Array:
 
 def _sized(pattern: Pattern, score: float, information: float) -> Best:
     value, error = score / max(information, _TINY), max(information, _TINY) ** -0.5
-    low, high = value - _Z90 * error, value + _Z90 * error
+    low, high = value - Z90 * error, value + Z90 * error
     return Best(pattern, pattern.scale * value, pattern.scale * low, pattern.scale * high)

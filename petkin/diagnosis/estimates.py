@@ -14,14 +14,12 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term
 from petkin.diagnosis.refit import Fit, shape_of
 from petkin.diagnosis.scan import Scan, starts
-from petkin.diagnosis.verdict import Estimate, Strength
+from petkin.diagnosis.verdict import Z90, Estimate, Strength
 from petkin.diagnosis.where import Place, benjamini_hochberg
 from petkin.diagnosis.which import Candidate, columns_of, informed
 
 Array = NDArray[np.float64]
 
-#: Quantile of a 90 % interval.
-_Z90 = 1.6448536269514722
 #: Standard error of a median over that of a mean, of many normal values: sqrt(pi / 2).
 _OF_MEDIAN = float(np.sqrt(np.pi / 2.0))
 #: Onsets asked: how far from the fitted one, in errors of its logarithm, which lie between these; how many over all
@@ -147,9 +145,9 @@ def _amplitude(term: Term, errors: Array, channels: Sequence[str]) -> Estimate:
     if hypothesis.by_channel and not hypothesis.alike:
         clearest = int(np.argmax(np.abs(values) / errors))
         mean, error, channel = float(values[clearest]), float(errors[clearest]), channels[clearest]
-    elif hypothesis.by_channel and np.ptp(values / errors) > 4.0 * _Z90:  # not one amplitude for all
+    elif hypothesis.by_channel and np.ptp(values / errors) > 4.0 * Z90:  # not one amplitude for all
         mean, error = float(np.median(values)), _OF_MEDIAN * float(values.std(ddof=1)) / values.size**0.5
-    low, high = mean - _Z90 * error, mean + _Z90 * error
+    low, high = mean - Z90 * error, mean + Z90 * error
     return Estimate("amplitude", hypothesis.unit, mean, low, high, effect=hypothesis.name, channel=channel)
 
 

@@ -16,6 +16,9 @@ from petkin.diagnosis.where import PART, Place
 
 Array = NDArray[np.float64]
 
+#: Standard errors to either side of a normal 90 % interval.
+Z90 = 1.6448536269514722
+
 
 @dataclass(frozen=True)
 class Estimate:

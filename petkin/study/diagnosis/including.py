@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Base, Fit, Hypothesis, base_fit
+from petkin.diagnosis import Z90, Base, Fit, Hypothesis, base_fit
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.scan import templates
 from petkin.diagnosis.which import singles
@@ -22,7 +22,7 @@ from petkin.study.diagnosis.regional import RegionalSimulator, form_of, hypothes
 
 Array = NDArray[np.float64]
 
-_Z90, _SIDES = 1.6448536269514722, np.array([-1.0, 0.0, 1.0])
+_SIDES = np.array([-1.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,10 @@ def included(simulator: RegionalSimulator, fit: Fit) -> tuple[Included, ...]:
         sizes = _sizes(simulator, effect)
         if name in simulator.shared.symbols:
             i = simulator.shared.symbols.index(name)
-            found.append(_of(effect, sizes(fit.state.shared[i] + _Z90 * shared[i] * _SIDES)))
+            found.append(_of(effect, sizes(fit.state.shared[i] + Z90 * shared[i] * _SIDES)))
         elif name in simulator.own.symbols:
             i = simulator.own.symbols.index(name)
-            ends = fit.state.own[:, i, None] + _Z90 * own[:, i, None] * _SIDES
+            ends = fit.state.own[:, i, None] + Z90 * own[:, i, None] * _SIDES
             found += [_of(effect, sizes(row), region) for region, row in zip(simulator.channels, ends, strict=True)]
         for symbol, value in simulator.settings.get(effect.name, {}).items():
             unit = effect.parameters[symbol].unit

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import (
     CLAIM,
     DRAWS,
+    Z90,
     Cause,
     Detected,
     Diagnosis,
@@ -45,7 +46,6 @@ Array = NDArray[np.float64]
 _STRONG = 5.0
 #: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05
-_Z90 = 1.6448536269514722
 
 
 def diagnose_curves(
@@ -221,7 +221,7 @@ def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:
 
 
 def _strength(scatter: Scatter) -> Strength:
-    low, high = (scatter.flatness + sign * _Z90 * scatter.error for sign in (-1.0, 1.0))
+    low, high = (scatter.flatness + sign * Z90 * scatter.error for sign in (-1.0, 1.0))
     value, low, high = (float(np.clip(f, 0.0, 1.0)) for f in (scatter.flatness, low, high))
     return Strength("amplitude", "1", value, low, high, signed=False, single=False, effect=NOISE_VARIANCE.name)
 

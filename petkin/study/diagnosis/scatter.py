@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, log_ndtr, ndtr
 
-from petkin.diagnosis import Base, Fit
+from petkin.diagnosis import Z90, Base, Fit
 from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts, terms
 from petkin.study.diagnosis.regional import RegionalSimulator
 
@@ -46,7 +46,6 @@ _COUNTS_LOG_ODDS = float(np.log(4.0))
 #: One-sided p-value and log evidence from which on a more even scatter is told, where no other law is likelier: rarer
 #: than other claims, since a gap of the mean may also make residuals uneven.
 _CLAIM, SURE = 1e-3, 5.0
-_Z90 = 1.6448536269514722
 #: What a flatness of 1 takes from every exponent.
 _FLAT = np.subtract(NoiseLaw(0.0, 0.0, 0.0), COUNTS)
 
@@ -131,7 +130,7 @@ class Scatter:
     @property
     def claimed(self) -> bool:
         """Whether the law is taken for wrong, and a flatter one that there can be for right."""
-        possible = self.flatness - _Z90 * self.error <= 1.0
+        possible = self.flatness - Z90 * self.error <= 1.0
         sure = self.p_value <= _CLAIM and self.log_evidence >= SURE
         return possible and sure and self.log_evidence >= self.general
 

@@ -45,13 +45,13 @@ from petkin.reporting import (
 )
 from petkin.study.arterial import Reading, arterial_input
 from petkin.study.diagnosis.answer import answer
-from petkin.study.diagnosis.blood import allowing, errors_of, recorded_input
+from petkin.study.diagnosis.blood import allowing, errors_of, read_at, reading_nodes, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
 from petkin.study.diagnosis.including import in_picture, settled
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter

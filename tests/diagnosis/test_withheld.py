@@ -20,7 +20,8 @@ from petkin.effects import EFFECTS, effect_named
 from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
 from petkin.study.diagnosis.answer import sentence
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, read_at, reading_nodes
+from petkin.study.diagnosis.blood import read_at, reading_nodes
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 
 from . import independent_scan as scan
 

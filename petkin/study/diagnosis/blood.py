@@ -16,12 +16,13 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from petkin.dynamics import PiecewiseLinear
+from petkin.dynamics import Forcing, PiecewiseLinear
 from petkin.errors import InputError
 from petkin.inputs import InputFunction
 from petkin.io import BloodRecord
 from petkin.study.diagnosis.record import between_errors, record_errors, remark
 from petkin.study.diagnosis.request import FITTED
+from petkin.units import SECONDS_PER_MINUTE
 
 Array = NDArray[np.float64]
 
@@ -171,3 +172,34 @@ def _held(curves: dict[str, tuple[Array, Array] | None], end: float) -> list[str
         for name, curve in curves.items()
         if curve is not None and curve[0][-1] < end - 1e-9
     ]
+
+
+def reading_nodes(arterial: InputFunction, end: float, arrival_step: float = 1.0) -> Array:
+    """Times at which an input is read: its own knots, and 1 s early to 30 s late."""
+    steps = ((3.0, arrival_step), (10.0, 5.0), (end + 2.0, 30.0))
+    start, parts = 0.0, [np.zeros(1)]
+    for stop, step_s in steps:
+        parts.append(np.arange(start, max(stop, start), step_s / SECONDS_PER_MINUTE))
+        start = max(stop, start)
+    knots = [np.asarray(f.knots) for f in (arterial.plasma, arterial.whole_blood)]
+    nodes = np.unique(np.concatenate([*parts, *knots, [end + 2.0]]).round(9))
+    return nodes[(nodes >= 0) & (nodes <= end + 2.0)].astype(np.float64)
+
+
+def read_at(arterial: InputFunction, nodes: Array) -> InputFunction:
+    """The input as straight lines between nodes."""
+
+    def lines(curve: Forcing | None) -> PiecewiseLinear | None:
+        return None if curve is None else PiecewiseLinear(nodes, np.asarray(curve(nodes)))
+
+    plasma = lines(arterial.plasma)
+    blood = plasma if arterial.whole_blood is arterial.plasma else lines(arterial.whole_blood)
+    assert plasma is not None
+    assert blood is not None
+    return replace(
+        arterial,
+        plasma=plasma,
+        whole_blood=blood,
+        total_plasma=lines(arterial.total_plasma),
+        parent_fraction=lines(arterial.parent_fraction),
+    )

@@ -41,8 +41,7 @@ def any_gap(p_values: Sequence[float], against: Sequence[AgainstNoise]) -> float
     for p, one in zip(p_values, against, strict=True):
         picked = rng.integers(len(one.drawn), size=_DRAWS)
         many -= 2.0 * np.log(np.append(p, one.p_values[picked]))
-        found, drawn = one.of(names)
-        gained = np.expm1(np.minimum(np.vstack([found, drawn[picked]]), _LARGEST))
+        gained = np.expm1(np.minimum(one.of(names)[np.append(0, 1 + picked)], _LARGEST))
         for held, prevalence in zip(same, _PREVALENCES, strict=True):
             held += np.log1p(prevalence * gained)
     shared = evidence.mean(same, axis=0)

@@ -60,13 +60,12 @@ class AgainstNoise:
         own = statistic(self.drawn, self.drawn)
         return reached(own) / len(own)
 
-    def of(self, names: Sequence[str]) -> tuple[Array, Array]:
-        """Log evidence of some hypotheses, nought of those that are not among its own."""
+    def of(self, names: Sequence[str]) -> Array:
+        """Log evidence of some hypotheses for the data, then for the draws (1 + n, names); nought of those that are not
+        among its own."""
         place = {name: i for i, name in enumerate(self.names)}
-        both = np.vstack([self.found, self.drawn])
-        columns = [both[:, place[name]] if name in place else np.zeros(len(both)) for name in names]
-        every = np.stack(columns, axis=-1)
-        return every[0], every[1:]
+        every = np.vstack([self.found, self.drawn])
+        return np.stack([every[:, place[n]] if n in place else np.zeros(len(every)) for n in names], axis=-1)
 
 
 def tails(residuals: Array) -> dict[float, float]:

@@ -243,7 +243,7 @@ def _verdict(
         chosen = smallest_set({c.label: probability[c.label] for c in listed}, alike)
     leader = listed[0]
     stage = {h.name: h.stage for h in hypotheses}
-    alone = (drawn**2).sum(axis=1) / max(base.residual.size - base.jacobian.shape[1], 1)
+    alone = (drawn**2).sum(axis=1) / base.freedom
     causes = tuple(
         Cause(
             c.names,
@@ -266,7 +266,7 @@ def _verdict(
         channels=tuple(simulator.channels),
         present=present,
         p_value=detected.p_value,
-        chi2_per_dof=base.chi2 / max(base.residual.size - base.jacobian.shape[1], 1),
+        chi2_per_dof=base.chi2 / base.freedom,
         noise=noise,
         base=base,
         causes=causes if present else (),

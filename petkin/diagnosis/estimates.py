@@ -38,7 +38,7 @@ def estimates(candidate: Candidate, simulator: Simulator, base: Fit, noise: Nois
     fit = candidate.fit
     if fit is None:
         return ()
-    known, error = len(base.state.terms), _errors(fit) * _beyond(fit) ** 0.5
+    known, error = len(base.state.terms), fit.widened
     found: list[Estimate] = []
     placed = zip(fit.state.terms[known:], columns_of(fit, len(simulator.channels), known))
     for term, place in sorted(placed, key=lambda both: both[0].hypothesis.name):
@@ -51,17 +51,6 @@ def estimates(candidate: Candidate, simulator: Simulator, base: Fit, noise: Nois
     return tuple(found)
 
 
-def _errors(fit: Fit) -> Array:
-    """Standard errors of all coordinates of a fit, by its curvature."""
-    covariance = np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))
-    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-
-def _beyond(fit: Fit) -> float:
-    """Chi-square a degree of freedom, at least 1."""
-    return max(fit.chi2 / max(fit.residual.size - fit.jacobian.shape[1], 1), 1.0)
-
-
 def _onset(term: Term, fit: Fit, places: Mapping[str, slice], simulator: Simulator, noise: Noise) -> Estimate:
     """With the interval that holds 0.9 of its probability, any time as likely beforehand.
 
@@ -71,7 +60,7 @@ def _onset(term: Term, fit: Fit, places: Mapping[str, slice], simulator: Simulat
         ln p(t) = -1/2 min_x { |r - d(t) - J(t) x|^2 + prior } / max(chi2 / dof, 1)
     """
     onset, bounds = float(term.setting["onset"]), shape_of(term, "onset")
-    width = float(np.clip(_errors(fit)[places["onset"]][0], *_WIDTHS))
+    width = float(np.clip(fit.errors[places["onset"]][0], *_WIDTHS))
     near = np.concatenate([-_NEAR[::-1], np.zeros(1), _NEAR])
     times = np.union1d(np.linspace(bounds.lower, bounds.upper, _ACROSS), onset * np.exp(width * near))
     times = times[(times >= bounds.lower) & (times <= bounds.upper)]
@@ -87,7 +76,7 @@ def _onset(term: Term, fit: Fit, places: Mapping[str, slice], simulator: Simulat
         slope = jacobian.T @ left + np.sqrt(fit.penalty) * fit.pulled
         normal = jacobian.T @ jacobian + np.diag(fit.penalty)
         normal[places["onset"], places["onset"]] = 1.0
-        log[i] = 0.5 * (slope @ np.linalg.solve(normal, slope) - left @ left) / _beyond(fit)
+        log[i] = 0.5 * (slope @ np.linalg.solve(normal, slope) - left @ left) / fit.beyond
     fine = np.union1d(times, np.linspace(times[0], times[-1], _FINE))
     density = np.exp(np.interp(fine, times, log - log.max()))
     below = np.concatenate([np.zeros(1), np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(fine))])
@@ -117,7 +106,7 @@ def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator,
         if candidate.fit is not None:
             (place,) = columns_of(candidate.fit, len(simulator.channels), len(base.state.terms))
             term = candidate.fit.state.terms[-1]
-            one = _amplitude(term, _errors(candidate.fit)[place.get("", slice(0))], simulator.channels)
+            one = _amplitude(term, candidate.fit.errors[place.get("", slice(0))], simulator.channels)
         else:
             term, one = _from_scan(scan, base.residual, each, candidate.label, simulator.channels)
         h = term.hypothesis

@@ -79,6 +79,30 @@ class Fit(Point):
     jacobian: Array
     nuisance: int
 
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the residual."""
+        return max(self.residual.size - self.jacobian.shape[1], 1)
+
+    @property
+    def beyond(self) -> float:
+        """Chi-square a degree of freedom, at least 1."""
+        return max(self.chi2 / self.freedom, 1.0)
+
+    @property
+    def errors(self) -> Array:
+        """Standard errors of all coordinates by the curvature (n,), in the noise that is taken."""
+        covariance = np.linalg.pinv(self.jacobian.T @ self.jacobian + np.diag(self.penalty))
+        return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+    @property
+    def widened(self) -> Array:
+        """The errors, larger where more than noise is left, by the root of chi-square a degree of freedom.
+
+        Reference: Birge RT. Phys Rev 1932;40:207-227.
+        """
+        return self.errors * self.beyond**0.5
+
 
 def refit(
     simulator: Simulator,

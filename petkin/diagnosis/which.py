@@ -108,7 +108,7 @@ def _least(best: float) -> float:
 
 def excess(fit: Fit) -> float:
     """Chi-square beyond that of noise alone."""
-    return fit.chi2 - (fit.residual.size - fit.jacobian.shape[1])
+    return fit.chi2 - fit.freedom
 
 
 def again(

@@ -199,8 +199,11 @@ def _sizes(named: Sequence[Judged]) -> list[Metric]:
 
 
 def _holds_size(case: Judged) -> bool:
-    """But for its sign."""
-    low, high, size = case.number("amplitude_low"), case.number("amplitude_high"), case.number("size")
+    return holds(case.number("amplitude_low"), case.number("amplitude_high"), case.number("size"))
+
+
+def holds(low: float, high: float, size: float) -> bool:
+    """Whether an interval holds a size, but for its sign."""
     return low <= size <= high or low <= -size <= high
 
 

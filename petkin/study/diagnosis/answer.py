@@ -15,7 +15,7 @@ from petkin.effects import effect_named
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.imaging import PLANES
 from petkin.kinetics import compartment_model
-from petkin.study.diagnosis.including import Included, included
+from petkin.study.diagnosis.including import included
 from petkin.study.diagnosis.regional import RegionalSimulator, kinetics
 from petkin.study.diagnosis.sidecar import Blunder
 from petkin.study.diagnosis.state import StatesRead
@@ -92,11 +92,15 @@ def answer(
     )
 
 
-def _included(one: Included) -> dict[str, Any]:
-    entry: dict[str, Any] = {"effect": one.effect, "symbol": one.symbol, "value": one.value, "unit": one.unit}
-    if one.low is not None:
-        entry |= {"low": one.low, "high": one.high}
-    return entry | ({"region": one.region} if one.region else {})
+def _included(one: Estimate) -> dict[str, Any]:
+    """A quantity of an included effect; a setting, which is not refitted, has no interval."""
+    entry = {"effect": one.effect, "symbol": one.symbol} | _quantity(one)
+    return entry if one.low < one.high else {key: entry[key] for key in entry if key not in ("low", "high")}
+
+
+def _quantity(one: Estimate) -> dict[str, Any]:
+    place = {"region": one.channel} if one.channel else {}
+    return {"value": one.value, "low": one.low, "high": one.high, "unit": one.unit} | place
 
 
 def _where(found: Diagnosis, simulator: RegionalSimulator, states: StatesRead | None) -> dict[str, Any]:
@@ -149,8 +153,7 @@ def cause_entry(cause: Cause) -> dict[str, Any]:
     for entry in cause.estimates:
         key = {"onset": "onset_min"}.get(entry.symbol, entry.symbol)
         key = key if entry.effect in ("", cause.effects[0]) else f"second_{key}"
-        place = {"region": entry.channel} if entry.channel else {}
-        estimate[key] = {"value": entry.value, "low": entry.low, "high": entry.high, "unit": entry.unit} | place
+        estimate[key] = _quantity(entry)
     closed = cause.closure
     return {
         "effects": list(cause.effects),

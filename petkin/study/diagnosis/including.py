@@ -7,13 +7,13 @@ amplitudes are refitted with the kinetics in every comparison.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Z90, Base, Fit, Hypothesis, base_fit
+from petkin.diagnosis import Z90, Base, Estimate, Fit, Hypothesis, base_fit
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.scan import templates
 from petkin.diagnosis.which import singles
@@ -25,36 +25,17 @@ Array = NDArray[np.float64]
 _SIDES = np.array([-1.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class Included:
-    """One quantity of an included effect, with its 90 % interval where it is refitted.
-
-    Args:
-        effect, symbol, unit: which.
-        value: of it.
-        low, high: its interval; None of a setting.
-        region: the one that it belongs to; "" of all.
-    """
-
-    effect: str
-    symbol: str
-    unit: str
-    value: float
-    low: float | None = None
-    high: float | None = None
-    region: str = ""
-
-
-def included(simulator: RegionalSimulator, fit: Fit) -> tuple[Included, ...]:
-    """What the simulator's own refit makes of the effects that it includes, in their order.
+def included(simulator: RegionalSimulator, fit: Fit) -> tuple[Estimate, ...]:
+    """What the simulator's own refit makes of the effects that it includes, in their order; a setting, which is not
+    refitted, has no width.
 
     Args:
         simulator: with its included effects.
         fit: of the simulator alone.
     """
-    errors = np.sqrt(np.diag(np.linalg.pinv(fit.jacobian.T @ fit.jacobian + np.diag(fit.penalty))))[: fit.nuisance]
+    errors = fit.widened[: fit.nuisance]
     own, shared = errors[: fit.state.own.size].reshape(fit.state.own.shape), errors[fit.state.own.size :]
-    found: list[Included] = []
+    found: list[Estimate] = []
     for effect in simulator.includes:
         symbol = effect.amplitude.symbol
         name = symbol if effect.name in simulator.logarithmic else effect.name
@@ -69,8 +50,10 @@ def included(simulator: RegionalSimulator, fit: Fit) -> tuple[Included, ...]:
         for symbol, value in simulator.settings.get(effect.name, {}).items():
             unit = effect.parameters[symbol].unit
             regions = simulator.channels if np.ndim(value) else ("",)
-            each = zip(regions, np.atleast_1d(value), strict=True)
-            found += [Included(effect.name, symbol, unit, float(one), region=region) for region, one in each]
+            each = zip(regions, map(float, np.atleast_1d(value)), strict=True)
+            found += [
+                Estimate(symbol, unit, *(3 * [float(one)]), effect=effect.name, channel=region) for region, one in each
+            ]
     return tuple(found)
 
 
@@ -81,9 +64,10 @@ def _sizes(simulator: RegionalSimulator, effect: Effect) -> Callable[[Array], Ar
     return lambda widths: np.clip(widths * width(effect), *simulator.limits[effect.name])
 
 
-def _of(effect: Effect, ends: Array, region: str = "") -> Included:
+def _of(effect: Effect, ends: Array, region: str = "") -> Estimate:
     low, value, high = map(float, ends)
-    return Included(effect.name, effect.amplitude.symbol, effect.amplitude.unit, value, low, high, region)
+    symbol, unit = effect.amplitude.symbol, effect.amplitude.unit
+    return Estimate(symbol, unit, value, low, high, effect=effect.name, channel=region)
 
 
 def settled(simulator: RegionalSimulator, values: Array) -> RegionalSimulator:

@@ -86,7 +86,7 @@ def _included(one: Judged) -> tuple[tuple[str, str], ...]:
         text = f"{symbol} {float(np.median(values)):.3g}{unit}"
         if len(mine) > 1:
             text += f" ({min(values):.3g} to {max(values):.3g} over the regions)"
-        elif mine[0].low is not None:
+        elif mine[0].low < mine[0].high:
             text += f" ({mine[0].low:.3g} to {mine[0].high:.3g})"
         found.setdefault(effect, []).append(text)
     return tuple((f"Included {effect}", "; ".join(texts)) for effect, texts in found.items())

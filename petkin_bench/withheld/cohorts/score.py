@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin_bench.withheld.cohorts.cases import BINS, SHARE, SPREAD
-from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_of, share_of
+from petkin_bench.withheld.score import Judged, Metric, auroc, calibration_of, holds, share_of
 
 Array = NDArray[np.float64]
 
@@ -104,10 +104,9 @@ def _is_sized(case: Judged) -> bool:
 
 
 def _holds_size(case: Judged) -> bool:
-    """But for its sign; the mean of what is log-normal about a size."""
+    """The mean of what is log-normal about a size."""
     mean = abs(case.number("size")) * float(np.exp(0.5 * SPREAD**2))
-    low, high = sorted((case.number("mean_low"), case.number("mean_high")))
-    return low <= mean <= high or low <= -mean <= high
+    return holds(case.number("mean_low"), case.number("mean_high"), mean)
 
 
 def _seconds(cases: Sequence[Judged]) -> float:

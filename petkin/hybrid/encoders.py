@@ -98,7 +98,7 @@ class Moments(nn.Module):
 
     def describe(self, series: Float[Tensor, "n T C H W"]) -> Float[Tensor, "n c T"]:
         """Brightness, place (u, v), widths and slant of every channel, in numbers of order one."""
-        powers = _powers(series.shape[-1]).to(series)
+        powers = _powers(series.shape[-1], series.dtype, series.device)
         mass, *raw = (series[:, : self.frames].flatten(3) @ powers).unbind(-1)
         u, v, uu, vv, uv = (moment / (mass + _DARK) for moment in raw)
         wide, high = (uu - u * u).clamp_min(_DARK), (vv - v * v).clamp_min(_DARK)
@@ -120,11 +120,12 @@ class Moments(nn.Module):
 
 
 @cache
-def _powers(size: int) -> Float[Tensor, "pixels 6"]:
+def _powers(size: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "pixels 6"]:
     """1, u, v, u^2, v^2, u v of the pixels of the canvas [-1, 1]^2, over their number."""
     along = (torch.arange(size) + 0.5) * (2.0 / size) - 1.0
     v, u = torch.meshgrid(along, along, indexing="ij")
-    return torch.stack([torch.ones_like(u), u, v, u * u, v * v, u * v], dim=-1).flatten(0, 1) / size**2
+    powers = torch.stack([torch.ones_like(u), u, v, u * u, v * v, u * v], dim=-1).flatten(0, 1) / size**2
+    return powers.to(device, dtype)
 
 
 class SpatioTemporal(nn.Module):

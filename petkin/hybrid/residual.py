@@ -138,7 +138,8 @@ def into_rows(*rows: int) -> Action:
     """f_NN adds to the derivatives of these states; the others keep theirs: phi' is the velocity, whatever it says."""
 
     def acts(value: Tensor, state: Tensor) -> Tensor:
-        columns = torch.eye(state.shape[-1], dtype=state.dtype, device=state.device)[list(rows)]
+        unit = torch.eye(state.shape[-1], dtype=state.dtype, device=state.device)
+        columns = torch.stack([unit[row] for row in rows])
         return value.movedim(0, -1) @ columns
 
     return acts

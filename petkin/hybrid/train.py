@@ -12,7 +12,6 @@ from itertools import islice
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from petkin.errors import InputError, NumericalError
 from petkin.hybrid.checkpoint import (
@@ -24,12 +23,12 @@ from petkin.hybrid.checkpoint import (
     write_log,
 )
 from petkin.hybrid.episodes import Dataset, episodes
+from petkin.hybrid.gradients import Gradients
 from petkin.hybrid.metrics import measure
-from petkin.hybrid.model import Encoded, Identifier
+from petkin.hybrid.model import Identifier
 from petkin.hybrid.optimiser import TurnedAdam
 from petkin.hybrid.parallel import average, place, wait
-from petkin.hybrid.penalty import penalty
-from petkin.hybrid.schedule import Settings, compared, frames_at, learning_rate
+from petkin.hybrid.schedule import Settings, learning_rate
 from petkin.hybrid.strategies import find_strategy
 from petkin.hybrid.validation import Validation
 from petkin.hybrid.watch import Watch
@@ -129,8 +128,10 @@ def _attempt(make: Maker, data: Dataset, settings: Settings, validation: Dataset
         _settle(run.model, data, settings)
     watch, ended = Watch(), run.step >= settings.steps or kept.plateau
     run.model.train()
+    gradients = Gradients(run.model, settings)
     while not ended:
-        run.losses.append(_step(run.model, optimiser, _share(batches, settings, generator), settings, run.step, watch))
+        mine = _share(batches, settings, generator)
+        run.losses.append(_step(run.model, optimiser, gradients, mine, settings, run.step, watch))
         run.step += 1
         if files.progress is not None:
             files.progress(run.step, run.losses[-1])
@@ -181,18 +182,13 @@ def _share(batches: Iterator[Dataset], settings: Settings, generator: torch.Gene
 def _step(
     model: Identifier,
     optimiser: torch.optim.Optimizer,
+    gradients: Gradients,
     mine: Iterator[tuple[Dataset, int]],
     settings: Settings,
     step: int,
     watch: Watch,
 ) -> float:
-    optimiser.zero_grad(set_to_none=True)
-    means = torch.zeros(3)
-    share = place()[1] / settings.episodes
-    for batch, k in mine:
-        loss, error, light = loss_of(model, batch, k, settings, step)
-        (share * loss).backward()
-        means += share * torch.stack([loss, error, light]).detach().cpu()
+    means = gradients(mine, step)
     average([means, *(p.grad for p in model.parameters() if p.grad is not None)])
     size = torch.nn.utils.clip_grad_norm_(model.parameters(), settings.clip)
     if not bool(torch.isfinite(means).all() and torch.isfinite(size)):
@@ -203,27 +199,6 @@ def _step(
     optimiser.step()
     watch.see(float(means[2]))
     return float(means[1])
-
-
-def loss_of(model: Identifier, batch: Dataset, k: int, settings: Settings, step: int) -> tuple[Tensor, Tensor, Tensor]:
-    """What is minimised, the error in it, and the share of the observations' mean square that a prediction has."""
-    with torch.no_grad():
-        observed = model.task.emission.observe(batch.states)
-    found = find_strategy(settings.strategy)(model.encode(observed), k, model.aggregate)
-    count = frames_at(step, settings, len(model.task.times))
-    predicted = model.predict(found, model.task.times[:count])
-    some = compared(step, settings, count)
-    error = model.squared_error(found, predicted[..., some, :], batch.states[..., :count, :][..., some, :]).mean()
-    price = penalty(model, found, predicted, norm=settings.norm, orthogonality=settings.orthogonality)
-    price = price * (learning_rate(step, settings) / settings.rate)
-    return error + price, error, _light(model, found, predicted, observed[:1, :1, :count])
-
-
-@torch.no_grad()
-def _light(model: Identifier, found: Encoded, predicted: Tensor, observed: Tensor) -> Tensor:
-    """Of the first series alone: it is a look, not a measurement."""
-    seen = model.observe(replace(found, physics=found.physics[:1, :1]), predicted[:1, :1].detach())
-    return seen.square().mean() / observed.square().mean().clamp_min(1e-30)
 
 
 def _check(model: Identifier, validation: Dataset, settings: Settings) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -56,8 +57,7 @@ class Cube:
 
     def _pose(self, states: Tensor) -> tuple[Tensor, Tensor]:
         """Middle [*b, 3] and the body's axes [*b, axis, 3] as the camera sees them: right, up, toward it."""
-        c, s = math.cos(self.elevation), math.sin(self.elevation)
-        camera = torch.tensor([[1.0, 0.0, 0.0], [0.0, s, c], [0.0, -c, s]], dtype=states.dtype, device=states.device)
+        camera = _camera(self.elevation, states.dtype, states.device)
         return states[..., :3] @ camera.T, rotation(states[..., 3:7]).mT @ camera.T
 
     def _face(self, centre: Tensor, edges: Tensor, facing: Tensor, axis: int, like: Tensor) -> Tensor:
@@ -71,7 +71,7 @@ class Cube:
         across, down = grid - middle[..., :1], -grid - middle[..., 1:]
         a = self._inside(second[..., 1] / area, -second[..., 0] / area, across, down)
         b = self._inside(-first[..., 1] / area, first[..., 0] / area, across, down)
-        colours = torch.tensor(_COLOURS, dtype=like.dtype, device=like.device)
+        colours = _colours(like.dtype, like.device)
         colour = torch.where(side[..., None] > 0, colours[2 * axis], colours[2 * axis + 1])
         seen = torch.tanh(facing[..., axis].abs() / 0.15)  # a face seen edge on fades instead of jumping
         return (colour * seen[..., None])[..., None, None] * (a * b)[..., None, :, :]
@@ -81,6 +81,18 @@ class Cube:
         place = (u[..., None] * across)[..., None, :] + (v[..., None] * down)[..., :, None]
         steep = self.size / (2.0 * self.soft) / torch.sqrt(u * u + v * v + 1e-12)
         return torch.sigmoid(steep[..., None, None] * (1.0 - place.abs()))
+
+
+@cache
+def _camera(elevation: float, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 3"]:
+    """Right, up and toward the camera in the world's coordinates; made once, since a device waits for such numbers."""
+    c, s = math.cos(elevation), math.sin(elevation)
+    return torch.tensor([[1.0, 0.0, 0.0], [0.0, s, c], [0.0, -c, s]], dtype=dtype, device=device)
+
+
+@cache
+def _colours(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "6 3"]:
+    return torch.tensor(_COLOURS, dtype=dtype, device=device)
 
 
 def rotation(q: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]:

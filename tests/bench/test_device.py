@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from petkin.hybrid import Dataset, Settings, device, train
-from petkin.hybrid.train import loss_of
+from petkin.hybrid.gradients import Gradients, loss_of
 from petkin_bench.cli import main
 from petkin_bench.protocol import build, find_preset
 from petkin_bench.systems import SYSTEMS, draw, find_system
@@ -60,3 +60,23 @@ def test_a_device_that_cannot_be_used_is_one_line(options, said, monkeypatch, ca
     told = capsys.readouterr().err
     assert (ended.value.code, told.count("\n")) == (2, 1)
     assert said in told
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no CUDA device here")
+@pytest.mark.parametrize("physics", SYSTEMS, ids=lambda physics: physics.name)
+@pytest.mark.parametrize("name", ["cpu", "paper"])
+def test_a_replayed_step_has_the_gradients_of_single_kernels(physics, name, monkeypatch):
+    preset, settings = replace(find_preset(name), compiled=False), Settings(steps=10, dynamics=3, series=4)
+    model = build(physics, "meta_hylad", preset, 0).place_on("cuda").train()
+    drawn = [draw(physics, 3, 4, seed=seed).to("cuda") for seed in (1, 2, 3)]
+    replayed, single = Gradients(model, settings), Gradients(model, settings)
+    monkeypatch.setattr(single, "_alike", lambda step: False)
+    for batch in drawn:
+        said, gradients = zip(*(_taken(each, model, batch) for each in (replayed, single)))
+        assert torch.allclose(*said, rtol=1e-4)
+        assert (gradients[0] - gradients[1]).norm() < 1e-3 * gradients[1].norm()
+
+
+def _taken(gradients: Gradients, model, batch: Dataset) -> tuple[torch.Tensor, torch.Tensor]:
+    said = gradients([(batch, 2)], 9).clone()
+    return said, torch.cat([p.grad.flatten().clone() for p in model.parameters() if p.grad is not None])

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from petkin.hybrid import Settings
-from petkin.hybrid.train import loss_of
+from petkin.hybrid.gradients import loss_of
 from petkin_bench.naive import Naive, train_naive
 from petkin_bench.protocol import build, find_preset
 from petkin_bench.speed_train import TARGET, Clock, compare, projection

@@ -21,7 +21,7 @@ from petkin.hybrid import (
     train,
     valid_share,
 )
-from petkin.hybrid.train import loss_of
+from petkin.hybrid.gradients import loss_of
 from petkin.hybrid.validation import Validation
 
 from .oscillator import data, make

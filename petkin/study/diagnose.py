@@ -48,8 +48,8 @@ from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.blood import allowing, errors_of, read_at, reading_nodes, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
-from petkin.study.diagnosis.imaged import look_at_image, picture_of, weighed
-from petkin.study.diagnosis.including import in_picture, settled
+from petkin.study.diagnosis.imaged import look_at_image, picture_of, pictured, weighed
+from petkin.study.diagnosis.including import settled
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.report import Judged, gap_report
@@ -57,7 +57,6 @@ from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter
 from petkin.study.diagnosis.shared_law import SharedLaw, of_all
 from petkin.study.diagnosis.sidecar import Blunder, blunders
-from petkin.study.diagnosis.spatial import moves
 from petkin.study.diagnosis.state import read_states
 from petkin.study.diagnosis.state_files import write_states
 from petkin.study.fit_scan import Progress
@@ -184,8 +183,8 @@ def _diagnosed(
         simulator = replace(simulator, grain=picture.grain.of_means(), law_errors=simulator.law_errors[:0])
         based = base_fit(simulator, curves.values)
         names = frozenset(h.name for h in candidates)
+        simulator, based = pictured(picture, simulator, curves.values, based, seed=request.seed)
         imaged = look_at_image(picture, simulator, based[0], names, seed=request.seed)
-        simulator, based = in_picture(replace(simulator, moves=moves(imaged.voxels)), curves.values, based)
         candidates = possible()
         seen = tuple(map(imaged.looked.told, candidates))
         detected = detect(simulator, curves.values, seen, seed=request.seed, based=based)
@@ -202,7 +201,7 @@ def _diagnosed(
     if imaged is not None:
         found = weighed(found, imaged.looked)
     found = scattered(found, scatter)
-    gap = None if imaged is None else gap_map(imaged.voxels, found, simulator.clock)
+    gap = None if imaged is None else gap_map(imaged.voxels, found, simulator)
     states = None
     if members is not None:
         states = read_states(

@@ -62,6 +62,12 @@ def diagnosed(study: Path, out: Path, **options: object) -> Diagnosed:
     return one
 
 
+def deviations(one: Diagnosed) -> np.ndarray:
+    """z of the voxels in the regions."""
+    z = np.asarray(nib.load(next(one.report.parent.glob("*_desc-gapz_mimap.nii.gz"))).dataobj)
+    return z[np.isfinite(z)]
+
+
 @pytest.fixture(scope="module")
 def moved(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
     """3 mm along y, in an image without blur to speak of."""
@@ -109,6 +115,27 @@ def test_the_map_shows_edges_of_both_signs(moved: Diagnosed) -> None:
     assert "Gap by voxel" in moved.report.read_text()
 
 
+def test_motion_that_is_included_is_no_gap_of_the_image(moved: Diagnosed, tmp_path: Path) -> None:
+    """Neither motion of another course nor a gap of no name stands where it stood, and its edges leave the map."""
+    study = spoilt(tmp_path, moved_mm=(0.0, 3.0, 0.0))
+    request = DiagnoseRequest(study, out=tmp_path / "out", include=(*INCLUDES, "motion_step"))
+    (one,) = diagnose_study(request)
+    assert one.answer["verdict"]["kind"] == "none"
+    onset = next(e for e in one.answer["simulator"]["fitted"] if (e["effect"], e["symbol"]) == ("motion_step", "onset"))
+    assert onset["value"] == pytest.approx(ONSET_MIN, abs=2.0)
+    left, was = (float((deviations(each) ** 2).mean()) - 1.0 for each in (one, moved))
+    assert was > 1.0
+    assert left < 0.2 * was
+
+
+def test_behind_included_motion_another_gap_of_the_image_is_seen(tmp_path: Path) -> None:
+    study = spoilt(tmp_path, moved_mm=(0.0, 3.0, 0.0), failing=0.3)
+    request = DiagnoseRequest(study, out=tmp_path / "out", include=(*INCLUDES, "motion_step"))
+    (one,) = diagnose_study(request)
+    assert one.answer["verdict"]["kind"] == "unknown"
+    assert one.answer["where"]["state"][0]["evidence"] > 10.0
+
+
 def test_blur_is_named_with_its_width(tmp_path: Path) -> None:
     answer = diagnosed(spoilt(tmp_path, fwhm=8.0), tmp_path / "out").answer
     assert "partial_volume" in answer["verdict"]["set"][0]
@@ -130,8 +157,7 @@ def test_failing_planes_are_a_gap_of_no_name_within_regions(tmp_path: Path, with
 def test_an_image_in_order_has_no_gap_and_a_map_of_noise(tmp_path: Path) -> None:
     one = diagnosed(spoilt(tmp_path), tmp_path / "out")
     assert one.answer["verdict"]["kind"] == "none"
-    z = np.asarray(nib.load(next(one.report.parent.glob("*_desc-gapz_mimap.nii.gz"))).dataobj)
-    assert np.nanstd(z) == pytest.approx(1.0, abs=0.15)
+    assert np.std(deviations(one)) == pytest.approx(1.0, abs=0.15)
 
 
 def test_silence_of_the_image_counts_only_as_far_as_the_effect_would_show() -> None:

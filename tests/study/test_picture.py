@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +12,9 @@ import pytest
 from petkin.diagnosis import Family, holding
 from petkin.imaging import FrameSchedule, Motion, blur, moved
 from petkin.study.diagnosis.picture import Picture, Voxels
-from petkin.study.diagnosis.spatial import _courses, _Predicted, _Scene, _slope, moves
+from petkin.study.diagnosis.scene import Scene, _slope
+from petkin.study.diagnosis.spatial import _contrasts, _Predicted, moves
+from petkin.study.diagnosis.standing import drifts
 from petkin.study.diagnosis.voxel_noise import VoxelNoise
 
 REGIONS, FRAMES, EACH = 3, 8, 30
@@ -92,8 +94,8 @@ def test_edges_that_run_within_voxels_are_nuisance() -> None:
 
 
 def test_a_drift_may_begin_and_end_during_the_scan() -> None:
-    frames, nothing = FrameSchedule.uniform(30, 2.0), cast(Any, None)
-    courses = [course for _, course in _courses("motion_drift", frames, nothing)]
+    frames = FrameSchedule.uniform(30, 2.0)
+    courses = drifts(frames)
     begun = [float(frames.mid[np.flatnonzero(course > 0)[0]]) for course in courses]
     ended = [float(frames.mid[np.argmax(course)]) for course in courses]
     assert all((np.diff(course) >= 0).all() and course[0] < 0.1 and course[-1] > 0.9 for course in courses)
@@ -127,7 +129,7 @@ def test_a_turn_changes_the_image_as_its_contrast_says() -> None:
         VoxelNoise(np.ones(FRAMES), np.ones((1, 1, 1)), labels),
     )
     fit: Any = SimpleNamespace(values=levels)
-    contrasts = _Scene(Voxels(picture, fit, levels, np.zeros((1, FRAMES, 2)))).contrasts()
+    contrasts = _contrasts(Scene(Voxels(picture, fit, levels, np.zeros((1, FRAMES, 2)))))
     contrast = next(c for c in contrasts if c.family == "motion 3")
     furthest = np.hypot(x[inside], y[inside]).max()
     expected = (image(0.5 / furthest) - image(-0.5 / furthest))[inside]
@@ -173,7 +175,7 @@ def test_a_slice_moves_within_its_plane_alone() -> None:
     seen = np.random.default_rng(3).random(flat.picture.seen.shape)
     voxels = replace(flat, picture=replace(flat.picture, seen=seen))
     assert voxels.inside.shape[2] == 1
-    assert set(_Scene(voxels).motions) == {0, 1, 3}
+    assert set(Scene(voxels).motions) == {0, 1, 3}
     assert moves(voxels).ways == (0, 1, 3)
 
 
@@ -187,7 +189,7 @@ def still() -> Voxels:
 def test_a_still_picture_behind_a_point_spread_is_the_one_drawn_from_its_labels() -> None:
     """In every contrast, to a fiftieth of the largest: without it, still edges look like gaps."""
     voxels = still()
-    contrasts = _Scene(voxels).contrasts()
+    contrasts = _contrasts(Scene(voxels))
     largest = max(np.linalg.norm(voxels.sums(c.weights)) for c in contrasts)
     for contrast in contrasts:
         assert np.linalg.norm(voxels.beside(contrast.weights)) < 0.02 * largest

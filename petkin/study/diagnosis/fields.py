@@ -13,7 +13,7 @@ that they share no noise; they look beside the picture as it is drawn.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import Departure, Family, holding
 from petkin.study.diagnosis.picture import Voxels
-from petkin.study.diagnosis.variation import Variation
 
 Array = NDArray[np.float64]
 
@@ -47,14 +46,18 @@ _HARDLY = 1e-6
 Maps = tuple[Sequence[Array], Sequence[Array]]
 
 
+#: What contrasts of some regions (R,) may hold besides, by weights (F, N): columns (n, F R, K).
+Held = Callable[[Array, NDArray[np.intp]], Array]
+
+
 def departures(
-    voxels: Voxels, variation: Variation, times: Array, named: Mapping[str, Maps], *, least: float
+    voxels: Voxels, held: Sequence[Held], times: Array, named: Mapping[str, Maps], *, least: float
 ) -> list[Departure]:
     """Contrasts that see such gains: along every axis, and across several.
 
     Args:
         voxels: of a segmentation.
-        variation: how kinetics vary within its regions.
+        held: what they may hold besides: of kinetics that vary within regions, of effects that are included.
         times: of the frames (K,), min.
         named: what effects that have a name add.
         least: smallest standard deviation that noise may have.
@@ -64,20 +67,26 @@ def departures(
     for fields, windows in _fields(voxels):
         weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
         rows = _stacked([voxels.beside(each)[regions] for each in weights])
-        added, parts = (
-            _added(voxels, weights, regions, (field[:, None] * voxels.seen for field in each))
+        every, parts = (
+            added(voxels, weights, regions, (field[:, None] * voxels.seen for field in each))
             for each in (fields, windows)
         )
-        shown, most = ((rows**2).sum(axis=(1, 2)) for rows in (parts, added))
+        shown, most = ((rows**2).sum(axis=(1, 2)) for rows in (parts, every))
         parts = parts[shown > _HARDLY * most.max()]
-        held = {
-            name: (_added(voxels, weights, regions, a), _added(voxels, weights, regions, b))
+        beside = {
+            name: (added(voxels, weights, regions, a), added(voxels, weights, regions, b))
             for name, (a, b) in named.items()
         }
-        bare = Family(rows, variation.joint(weights, regions), np.eye(len(rows)))
+        nuisance = np.concatenate([each(weights, regions) for each in held])
+        bare = Family(rows, nuisance, np.eye(len(rows)))
         family = holding(bare, _there(voxels, weights, regions), least, times=_TIMES)
-        found.append(Departure(family, added, np.maximum(times, 0.0), parts, held))
+        found.append(Departure(family, every, np.maximum(times, 0.0), parts, beside))
     return found
+
+
+def fields_of(voxels: Voxels) -> list[Array]:
+    """The fields of all families (N,)."""
+    return [field for fields, _ in _fields(voxels) for field in fields]
 
 
 def _fields(voxels: Voxels) -> Iterator[tuple[Array, Iterable[Array]]]:
@@ -108,7 +117,7 @@ def _largest(voxels: Voxels) -> NDArray[np.intp]:
     return np.sort(np.argsort(-np.bincount(voxels.place), kind="stable")[:_REGIONS])
 
 
-def _added(voxels: Voxels, weights: Array, regions: NDArray[np.intp], maps: Iterable[Array]) -> Array:
+def added(voxels: Voxels, weights: Array, regions: NDArray[np.intp], maps: Iterable[Array]) -> Array:
     """What maps (N, M) add to the contrasts of some regions (maps, F R, K)."""
     courses, spread = voxels.picture.courses, voxels.spread[regions]
     places = [np.flatnonzero(voxels.place == r) for r in regions]

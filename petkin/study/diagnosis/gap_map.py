@@ -19,6 +19,8 @@ from petkin.diagnosis import Diagnosis, second_differences
 from petkin.effects.imaging import after
 from petkin.imaging import FrameObservation
 from petkin.study.diagnosis.picture import Voxels
+from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.standing import Standing
 
 Array = NDArray[np.float64]
 
@@ -26,21 +28,22 @@ Array = NDArray[np.float64]
 _LOST = 1e-6
 
 
-def gap_map(voxels: Voxels, found: Diagnosis, clock: FrameObservation) -> NDArray[np.float32]:
-    """z of every voxel [x, y, z]; NaN outside the regions.
+def gap_map(voxels: Voxels, found: Diagnosis, simulator: RegionalSimulator) -> NDArray[np.float32]:
+    """z of every voxel [x, y, z]; NaN outside the regions. What it holds of included spatial effects is no gap.
 
     Args:
         voxels: of the segmentation.
         found: the diagnosis, whose leading cause gives the pattern.
-        clock: frames.
+        simulator: with its included effects.
     """
-    residual = _projected(voxels.residual, voxels)
-    wanted = _pattern(voxels, found, clock)
+    beside = Standing.of(voxels, simulator).beside(voxels.residual)
+    residual = _projected(beside, voxels)
+    wanted = _pattern(voxels, found, simulator.clock)
     z = np.empty(len(residual))
     for r in range(len(voxels.fit.values)):
         mine = voxels.place == r
         scores = residual[mine]
-        bends = second_differences(voxels.residual[mine])
+        bends = second_differences(beside[mine])
         sigma = max(float(np.sqrt((bends**2).mean())), 1e-300) if bends.size else 1.0
         z[mine] = _scored(scores / sigma, wanted[r], _basis(voxels.sensitivity[r]))
     volume = np.full(voxels.inside.shape, np.nan, np.float32)

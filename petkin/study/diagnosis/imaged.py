@@ -6,13 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from petkin.diagnosis import CLAIM, Best, Cause, Diagnosis, Elsewhere, Estimate, Fit, smallest_set
+from petkin.diagnosis import CLAIM, Base, Best, Cause, Diagnosis, Elsewhere, Estimate, Fit, base_fit, smallest_set
 from petkin.io import read_regions
+from petkin.study.diagnosis.including import in_picture
 from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.spatial import Looked, look
+from petkin.study.diagnosis.spatial import Looked, look, moves
+from petkin.study.diagnosis.standing import spatial
 from petkin.study.sources import Source
+
+Array = NDArray[np.float64]
 
 #: From this log evidence on the image, not the regions, says how large an effect is and when it set in.
 _SURE = 3.0
@@ -52,6 +57,33 @@ def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit) -> Pictur
     if source.image is None or source.dseg is None or source.curves is not None:
         return None
     return read_picture(source.image, read_regions(source.dseg, source.image), simulator, fit)
+
+
+def pictured(
+    picture: Picture, simulator: RegionalSimulator, values: Array, based: Base, *, seed: int
+) -> tuple[RegionalSimulator, Base]:
+    """The simulator that knows from an image what motion adds to regions, and of the effects that it includes what the
+    image says, with its fit.
+
+    Args:
+        picture: the image.
+        simulator: what predicts the means over its regions.
+        values: those means (R, K).
+        based: what `base_fit` finds.
+        seed: of the draws of noise.
+    """
+    simulator = replace(simulator, moves=moves(Voxels.of(picture, simulator, based[0])))
+    names = frozenset(effect.name for effect in spatial(simulator))
+    if not names:
+        return in_picture(simulator, values, based)
+    bare = replace(
+        simulator,
+        includes=tuple(effect for effect in simulator.includes if effect.name not in names),
+        settings={name: each for name, each in simulator.settings.items() if name not in names},
+    )
+    fit, *_ = base_fit(bare, values)
+    looked = look(Voxels.of(picture, bare, fit), bare, names, seed=seed)
+    return in_picture(simulator, values, based, looked.told)
 
 
 def look_at_image(

@@ -22,6 +22,9 @@ from petkin.study.diagnosis.regional import RegionalSimulator, form_of, hypothes
 
 Array = NDArray[np.float64]
 
+#: A hypothesis with what is known of its settings beside the curves.
+Told = Callable[[Hypothesis], Hypothesis]
+
 _SIDES = np.array([-1.0, 0.0, 1.0])
 
 
@@ -70,7 +73,11 @@ def _of(effect: Effect, ends: Array, region: str = "") -> Estimate:
     return Estimate(symbol, unit, value, low, high, effect=effect.name, channel=region)
 
 
-def settled(simulator: RegionalSimulator, values: Array) -> RegionalSimulator:
+def _untold(hypothesis: Hypothesis) -> Hypothesis:
+    return hypothesis
+
+
+def settled(simulator: RegionalSimulator, values: Array, told: Told = _untold) -> RegionalSimulator:
     """The simulator with the likeliest settings of the effects that it includes.
 
     One effect after another, each beside all that have no setting and those found before; of several once more, since
@@ -79,6 +86,7 @@ def settled(simulator: RegionalSimulator, values: Array) -> RegionalSimulator:
     Args:
         simulator: with its included effects.
         values: curves (R, K).
+        told: a hypothesis with what else is known of its settings.
     """
     unsettled = [effect for effect in simulator.sized if any(hypothesis_of(effect, simulator).settings)]
     names = {effect.name for effect in unsettled}
@@ -86,11 +94,13 @@ def settled(simulator: RegionalSimulator, values: Array) -> RegionalSimulator:
     for effect in unsettled * min(len(unsettled), 2):
         found.pop(effect.name, None)
         beside = tuple(e for e in simulator.includes if e.name in found or e.name not in names)
-        found[effect.name] = _setting(replace(simulator, includes=beside, settings=dict(found)), values, effect)
+        found[effect.name] = _setting(replace(simulator, includes=beside, settings=dict(found)), values, effect, told)
     return replace(simulator, settings=found) if found else simulator
 
 
-def in_picture(simulator: RegionalSimulator, values: Array, based: Base) -> tuple[RegionalSimulator, Base]:
+def in_picture(
+    simulator: RegionalSimulator, values: Array, based: Base, told: Told | None = None
+) -> tuple[RegionalSimulator, Base]:
     """The simulator with the effects that it includes as a picture tells of them, and its fit; both as they were where
     none is told otherwise.
 
@@ -98,20 +108,21 @@ def in_picture(simulator: RegionalSimulator, values: Array, based: Base) -> tupl
         simulator: which knows what motion adds to regions.
         values: curves (R, K).
         based: what `base_fit` finds without the picture.
+        told: a hypothesis with what the picture says of its settings; None where it says nothing.
     """
     model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
     forms = tuple(form_of(effect, model) for effect in simulator.includes)
-    if forms == simulator.includes:
+    if forms == simulator.includes and told is None:
         return simulator, based
-    simulator = settled(replace(simulator, includes=forms, settings={}), values)
+    simulator = settled(replace(simulator, includes=forms, settings={}), values, told or _untold)
     return simulator, base_fit(simulator, values)
 
 
-def _setting(simulator: RegionalSimulator, values: Array, effect: Effect) -> Mapping[str, Any]:
+def _setting(simulator: RegionalSimulator, values: Array, effect: Effect, told: Told) -> Mapping[str, Any]:
     """Of an effect that the simulator lacks, after its refit; none where it could not be seen."""
     based = base_fit(simulator, values)
     base, noise, *_ = based
-    hypothesis = hypothesis_of(effect, simulator)
+    hypothesis = told(hypothesis_of(effect, simulator))
     if not _seen(simulator, based, hypothesis):
         return {}
     (best, *_) = singles(simulator, values, noise, base, scan_of(simulator, noise, base, [hypothesis]))
@@ -121,5 +132,5 @@ def _setting(simulator: RegionalSimulator, values: Array, effect: Effect) -> Map
 def _seen(simulator: RegionalSimulator, based: Base, hypothesis: Hypothesis) -> bool:
     """Whether a hypothesis changes any value at any of its settings."""
     base, noise, *_ = based
-    each = (replace(hypothesis, settings=(setting,)) for setting in hypothesis.settings)
+    each = (replace(hypothesis, settings=(setting,), told=()) for setting in hypothesis.settings)
     return any(np.any(t.columns) for one in each for t in templates(simulator, noise, base, [one]))

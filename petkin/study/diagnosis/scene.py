@@ -1,0 +1,83 @@
+"""What motion and gains that differ across the head add to the voxels of an image, as it is seen.
+
+Maps follow the picture's courses: [N, M] by voxel and course.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petkin.imaging import PLANES, middle_and_rim
+from petkin.study.diagnosis.picture import BESIDE, Voxels
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The image as it is seen."""
+
+    voxels: Voxels
+
+    @property
+    def axes(self) -> list[int]:
+        """Of the grid, those with more than one voxel."""
+        return [axis for axis, size in enumerate(self.voxels.inside.shape) if size > 1]
+
+    @cached_property
+    def motions(self) -> dict[int, Array]:
+        """What a millimetre of motion adds, by way of moving.
+
+        dx = - u . grad x
+        """
+        along = {axis: -slope for axis, slope in self._slopes.items()}
+        turned = {3 + n: self._turn(plane) for n, plane in enumerate(PLANES) if set(plane) <= set(self.axes)}
+        return along | turned
+
+    @cached_property
+    def bends(self) -> list[Array]:
+        """Second derivatives, 1/mm^2: what large motion does beside its slope."""
+        picture = self.voxels.picture
+        labelled = self.voxels.inside[picture.box]
+        slopes = {axis: _slope(picture.seen, picture.size[axis], axis) for axis in self.axes}
+        pairs = combinations_with_replacement(slopes, 2)
+        return [_slope(slopes[one], picture.size[other], other)[labelled] for one, other in pairs]
+
+    def tilt(self, axis: int) -> Array:
+        """What a gain adds that grows along an axis, by one from the middle to the edge of the head."""
+        place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)
+        place = 2.0 * (place - place.mean()) / max(float(np.ptp(place)), 1.0)
+        return np.asarray(place[:, None] * self.voxels.seen, np.float64)
+
+    def _turn(self, plane: tuple[int, int]) -> Array:
+        """Of a turn about the middle of the labels, by a millimetre at their rim."""
+        one, two = plane
+        size = np.array(self.voxels.picture.size)
+        middle, rim = middle_and_rim(self.voxels.inside, plane, size)
+        at = (np.argwhere(self.voxels.inside) - middle) * size
+        return np.asarray((at[:, [two]] * self._slopes[one] - at[:, [one]] * self._slopes[two]) / rim, np.float64)
+
+    @cached_property
+    def _slopes(self) -> dict[int, Array]:
+        """Derivatives, 1/mm, by axis."""
+        picture = self.voxels.picture
+        labelled = self.voxels.inside[picture.box]
+        return {axis: _slope(picture.seen, picture.size[axis], axis)[labelled] for axis in self.axes}
+
+
+def _slope(maps: Array, edge: float, axis: int) -> Array:
+    """Derivative of maps [x, y, z, M] along an axis, 1/mm, as sharp as two neighbours to either side tell it.
+
+    x' = (8 (x_1 - x_-1) - (x_2 - x_-2)) / 12,   beyond the grid as at its end
+
+    Reference: Fornberg B. Math Comput 1988;51:699-706, table 1 (central, fourth order).
+    """
+    pad = [(BESIDE, BESIDE) if a == axis else (0, 0) for a in range(maps.ndim)]
+    x = np.moveaxis(np.pad(maps, pad, mode="edge"), axis, 0)
+    slope = (8.0 * (x[3:-1] - x[1:-3]) - (x[4:] - x[:-4])) / (12.0 * edge)
+    return np.moveaxis(slope, 0, axis)

@@ -5,7 +5,7 @@ from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
 from petkin.diagnosis.contrasts import Best, Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
-from petkin.diagnosis.design import Visible, indistinct
+from petkin.diagnosis.design import Visible, indistinct, witnessed
 from petkin.diagnosis.detect import CLAIM
 from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
@@ -68,4 +68,5 @@ __all__ = [
     "of_nuisance",
     "second_differences",
     "smallest_set",
+    "witnessed",
 ]

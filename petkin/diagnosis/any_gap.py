@@ -47,4 +47,5 @@ def any_gap(p_values: Sequence[float], against: Sequence[AgainstNoise]) -> float
     shared = evidence.mean(same, axis=0)
     seldom = len(many) / (1 + min(len(one.drawn) for one in against))
     least = np.minimum(reached(many), np.maximum(reached(statistic(shared, shared[1:])), seldom))
-    return float(reached(-least)[0] / len(least))
+    times = max(one.times for one in against)
+    return min(1.0, times * float(reached(-least)[0] / len(least)))

@@ -264,8 +264,11 @@ class _Pooled:
 
 
 def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
-    """None of fewer than two strengths, or of what has none."""
+    """None of fewer than two strengths, of what has none, or of what is in another channel of each, or goes another
+    way."""
     if len(strengths) < 2 or strengths[0].unit == "flag":
+        return None
+    if len({s.unit for s in strengths}) > 1 or len({s.channel for s in strengths if not s.single}) > 1:
         return None
     values = np.array([s.value for s in strengths])
     variance = np.array([_error(s) for s in strengths]) ** 2

@@ -9,7 +9,7 @@ no name is one hypothesis more.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import evidence
 from petkin.diagnosis.departures import Departure, judge_departures
 from petkin.diagnosis.detect import p_value
-from petkin.diagnosis.families import Family, root, scored
+from petkin.diagnosis.families import Family, misfit, root, scored
 from petkin.diagnosis.verdict import Z90
 
 Array = NDArray[np.float64]
@@ -38,6 +38,7 @@ class Pattern:
         signed: whether it may be negative.
         width: standard deviation of the amplitude's prior, in units of `scale`.
         course: in time (K,), where it has one.
+        usual: whether its amplitude is that of the hypothesis; others are looked for, but give no size.
     """
 
     name: str
@@ -48,16 +49,19 @@ class Pattern:
     signed: bool = True
     width: float = 1.0
     course: Array | None = None
+    usual: bool = True
 
 
 @dataclass(frozen=True)
 class Best:
-    """The pattern of a hypothesis that its contrasts like best, with its amplitude and 90 % interval."""
+    """The usual pattern of a hypothesis that its contrasts like best, in the family that they like best, with its
+    amplitude and 90 % interval, which what it leaves of its contrasts widens."""
 
     pattern: Pattern
     value: float
     low: float
     high: float
+    detectability: float = np.inf  # d' of an amplitude as large as the prior's standard deviation
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,8 @@ class Contrasted:
         p_value: of none of them.
         unnamed: log evidence of a gap of no name, no more than a name's with what is left beside it; None where none
             was looked for.
+        drawn: log evidence of draws of noise, by hypothesis (n,).
+        departed: log evidence of a gap of no name for the data, then for as many draws (1 + n,).
     """
 
     evidence: Mapping[str, float]
@@ -78,6 +84,8 @@ class Contrasted:
     best: Mapping[str, Best]
     p_value: float
     unnamed: float | None = None
+    drawn: Mapping[str, Array] = field(default_factory=dict)
+    departed: Array | None = None
 
 
 def judge_contrasts(
@@ -110,23 +118,29 @@ def judge_contrasts(
             size = float(information[i, i])
             entry = (pattern, float(scores[i]), size, _evidence(pattern, drawn[:, i], size))
             by_name.setdefault(pattern.name, []).append(entry)
-    found, settings, best, nulls = {}, {}, {}, []
+    found, settings, best, nulls, courses = {}, {}, {}, {}, {}
     for name, entries in by_name.items():
         each = np.array([float(_evidence(p, np.asarray(score), size)) for p, score, size, _ in entries])
         found[name] = _mean(each[:, None])[0]
         settings[name] = [(pattern.setting, float(value)) for (pattern, *_), value in zip(entries, each)]
-        nulls.append(_mean(np.stack([null for *_, null in entries])))
-        pattern, score, information, _ = entries[int(np.argmax(each))]
-        best[name] = _sized(pattern, score, information)
-    unnamed, every = None, list(found.values())
+        nulls[name] = _mean(np.stack([null for *_, null in entries]))
+        liked = entries[int(np.argmax(each))][0]
+        courses[name] = liked.course
+        mine = [i for i, (p, *_) in enumerate(entries) if p.usual and p.family == liked.family]
+        pattern, score, information, _ = entries[max(mine, key=lambda i: each[i])]
+        left = misfit(families[pattern.family], pattern.rows, least)
+        best[name] = _sized(pattern, score, information, max(left, 1.0) ** 0.5)
+    unnamed, departed = None, None
+    observed, drawn = list(found.values()), list(nulls.values())
     if departures:
-        named = {name: b.pattern.course for name, b in best.items() if b.pattern.course is not None}
-        unnamed, null, left = judge_departures(departures, named, least=least, draws=draws, rng=rng)
-        nulls.append(null)
-        every.append(unnamed)
-        unnamed = min([unnamed, *(found[name] + beyond for name, beyond in left.items() if found[name] > 0.0)])
-    p = p_value(_mean(np.array(every)[:, None])[0], _mean(np.stack(nulls)))
-    return Contrasted({n: float(v) for n, v in found.items()}, settings, best, p, unnamed)
+        named = {name: course for name, course in courses.items() if course is not None}
+        alone, null, left = judge_departures(departures, named, least=least, draws=draws, rng=rng)
+        departed = np.append(alone, null)
+        observed, drawn = [*observed, alone], [*drawn, null]
+        unnamed = min([alone, *(found[name] + beyond for name, beyond in left.items() if found[name] > 0.0)])
+    p = p_value(_mean(np.array(observed)[:, None])[0], _mean(np.stack(drawn)))
+    evidence_of = {name: float(value) for name, value in found.items()}
+    return Contrasted(evidence_of, settings, best, p, unnamed, nulls, departed)
 
 
 def _evidence(pattern: Pattern, score: Array, information: float) -> Array:
@@ -139,7 +153,8 @@ def _mean(logs: Array) -> Array:
     return np.logaddexp.reduce(logs, axis=0) - np.log(len(logs))
 
 
-def _sized(pattern: Pattern, score: float, information: float) -> Best:
-    value, error = score / max(information, _TINY), max(information, _TINY) ** -0.5
+def _sized(pattern: Pattern, score: float, information: float, widened: float) -> Best:
+    value, error = score / max(information, _TINY), widened * max(information, _TINY) ** -0.5
     low, high = value - Z90 * error, value + Z90 * error
-    return Best(pattern, pattern.scale * value, pattern.scale * low, pattern.scale * high)
+    seen = pattern.width * max(information, 0.0) ** 0.5
+    return Best(pattern, pattern.scale * value, pattern.scale * low, pattern.scale * high, seen)

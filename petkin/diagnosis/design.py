@@ -5,8 +5,8 @@ d'(e) = |a P g_e|,   c(e, e') = |g_e' P g_e'| / (|P g_e| |P g_e'|),   P the proj
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,15 @@ def _all(
             tuple((names[j], float(cosine[i, j])) for j in np.argsort(-cosine[i]) if j != i)[:3],
         )
         for i, (hypothesis, _) in enumerate(entries)
+    )
+
+
+def witnessed(visible: Sequence[Visible], seen: Collection[str]) -> tuple[Visible, ...]:
+    """Those that other data do not show, alone or against another."""
+    return tuple(
+        replace(v, partners=tuple(partner for partner in v.partners if partner[0] not in seen))
+        for v in visible
+        if v.hypothesis.name not in seen
     )
 
 

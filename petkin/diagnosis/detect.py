@@ -43,11 +43,13 @@ class AgainstNoise:
         names: of the hypotheses; "" of a smooth discrepancy.
         found: log evidence of each for the data (H,).
         drawn: the same for draws of noise (n, H).
+        times: what a p-value of it counts, where evidence is found in noise more often than in draws.
     """
 
     names: tuple[str, ...]
     found: Array
     drawn: Array
+    times: float = 1.0
 
     @property
     def p_value(self) -> float:
@@ -59,6 +61,23 @@ class AgainstNoise:
         """Of every draw among all (n,)."""
         own = statistic(self.drawn, self.drawn)
         return reached(own) / len(own)
+
+    def witnessed(self, told: Mapping[str, Array], rng: np.random.Generator, *, times: float) -> AgainstNoise:
+        """With what a witness of other data says: added to the evidence of its own hypotheses, beside them of others.
+
+        Args:
+            told: log evidence for the data, then for draws of the witness's own noise (1 + m,), by hypothesis.
+            rng: which of those draws goes with which of its own.
+            times: what a p-value counts then.
+        """
+        if not told:
+            return self
+        names = (*self.names, *(name for name in told if name not in self.names))
+        every = self.of(names)
+        which = np.append(0, 1 + rng.integers(len(next(iter(told.values()))) - 1, size=len(self.drawn)))
+        for name, logs in told.items():
+            every[:, names.index(name)] += logs[which]
+        return AgainstNoise(names, every[0], every[1:], times)
 
     def of(self, names: Sequence[str]) -> Array:
         """Log evidence of some hypotheses for the data, then for the draws (1 + n, names); nought of those that are not

@@ -111,7 +111,10 @@ def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator,
             term, one = _from_scan(scan, base.residual, each, candidate.label, simulator.channels)
         h = term.hypothesis
         single = not h.flag and (h.alike or not h.by_channel)
-        found[candidate.label] = Strength(**vars(one), signed=h.signed, single=single)
+        if "axis" in term.setting:  # its sign means another way for every axis
+            ends = sorted(map(abs, (one.low, one.high)))
+            one = replace(one, value=abs(one.value), low=0.0 if one.low * one.high < 0 else ends[0], high=ends[1])
+        found[candidate.label] = Strength(**vars(one), signed=h.signed and "axis" not in term.setting, single=single)
     return found
 
 

@@ -41,12 +41,29 @@ def scored(family: Family, columns: Array, least: float) -> tuple[Array, Array]:
 
     No mixture of rows has noise of a standard deviation below `least`.
     """
+    seen, rows, free = _freed(family, columns, least)
+    return free @ rows, free @ seen.T
+
+
+def misfit(family: Family, column: Array, least: float) -> float:
+    """chi2 per degree of freedom that a column (J K) leaves, however large it is.
+
+    (c' C^{-1} c - (e' C^{-1} c)^2 / e' C^{-1} e) / (J K - 1)
+    """
+    both = np.stack([column.ravel(), family.rows.ravel()])
+    seen, rows, free = _freed(family, both, least)
+    (known, shared), (_, whole) = free @ seen.T
+    left = whole - shared**2 / known if known > 0 else whole
+    return float(left) / max(rows.size - 1, 1)
+
+
+def _freed(family: Family, columns: Array, least: float) -> tuple[Array, Array, Array]:
+    """Whitened columns (m, J K), whitened rows (J K,), and columns that see no more of the nuisance than is likely."""
     whitened = _whitening(family, least)
     rows, nuisance = whitened(family.rows[None])[0], whitened(family.nuisance)
     seen = whitened(columns.reshape(-1, *family.rows.shape))
     inner = np.eye(len(nuisance)) + nuisance @ nuisance.T
-    free = seen - np.linalg.solve(inner, nuisance @ seen.T).T @ nuisance
-    return free @ rows, free @ seen.T
+    return seen, rows, seen - np.linalg.solve(inner, nuisance @ seen.T).T @ nuisance
 
 
 def holding(family: Family, further: Array, least: float, *, times: float) -> Family:
@@ -83,7 +100,7 @@ def _whitening(family: Family, least: float) -> Callable[[Array], Array]:
     white = (axes / np.sqrt(np.maximum(size, max(least, _TINY) ** 2))).T
 
     def whitened(values: Array) -> Array:
-        return np.asarray((white @ values).reshape(len(values), -1), np.float64)
+        return np.asarray((white @ values).reshape(len(values), family.rows.size), np.float64)
 
     return whitened
 

@@ -104,6 +104,7 @@ class Diagnosis:
         alike: cosines by pair of causes.
         likely: the likeliest causes whether or not there is a gap, for what several data sets have in common.
         against: what speaks for a gap in the data and in noise, for the same.
+        shown: effects that other data show, whatever this design could tell.
     """
 
     channels: tuple[str, ...]
@@ -128,6 +129,7 @@ class Diagnosis:
     alike: dict[frozenset[str], float]
     likely: tuple[Cause, ...]
     against: AgainstNoise
+    shown: frozenset[str] = frozenset()
 
     @property
     def kind(self) -> str:

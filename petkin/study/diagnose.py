@@ -70,6 +70,8 @@ from petkin.study.sources import Source
 ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
 #: Fewer frames than this with activity cannot carry a diagnosis.
 _FEWEST_FRAMES = 10
+#: Less of an effect than this share is none of it.
+_LEAST_KEPT = 1e-6
 #: Share of the work that the noise of several scans is.
 _LAWS = 0.2
 
@@ -100,7 +102,7 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
     name, out, sources = sources_of(request)
     require_own_folder(out)
     members = _members(request, sources)
-    scans = [(source, *prepared(source, request)) for source in sources]
+    scans = [_remarked(source, *prepared(source, request)) for source in sources]
     started = time.process_time()
     laws = _laws_in_common(scans, request, progress)
     together = time.process_time() - started
@@ -142,6 +144,13 @@ def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tu
         written.append(_cohort(cohort, written, out, name, request, laws, together))
     progress("done", 1.0)
     return tuple(written)
+
+
+def _remarked(
+    source: Source, curves: RegionalCurves, simulator: RegionalSimulator
+) -> tuple[Source, RegionalCurves, RegionalSimulator]:
+    """With what was odd about the means over its regions among what was odd about its files."""
+    return replace(source, remarks=tuple(dict.fromkeys((*source.remarks, *curves.remarks)))), curves, simulator
 
 
 def _members(request: DiagnoseRequest, sources: tuple[Source, ...]) -> Members | None:
@@ -199,7 +208,7 @@ def _diagnosed(
         progress=progress,
     )
     if imaged is not None:
-        found = weighed(found, imaged.looked)
+        found = weighed(found, imaged.looked, seed=request.seed)
     found = scattered(found, scatter)
     gap = None if imaged is None else gap_map(imaged.voxels, found, simulator)
     states = None
@@ -303,12 +312,16 @@ def foresee_study(request: DiagnoseRequest, progress: Progress = _silent) -> tup
 
 def design_table(visible: tuple[Visible, ...]) -> str:
     """d' at the end of the plausible range, what the refit keeps, and the likeliest double, a line an effect."""
-    lines = [f"  {'effect':24}{'d prime':>9}{'kept':>8}  taken for"]
+    lines = [f"  {'effect':24}{'d prime':>9}{'kept':>10}  taken for"]
     for v in sorted(visible, key=lambda v: -v.detectability):
         partners = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in v.partners[:2])
         hidden = "  cannot be seen" if v.invisible else ""
-        lines.append(f"  {v.hypothesis.name:24}{v.detectability:9.2f}{100 * v.kept:7.2g}%  {partners}{hidden}")
+        lines.append(f"  {v.hypothesis.name:24}{v.detectability:9.2f}{_percent(v.kept):>10}  {partners}{hidden}")
     return "\n".join(lines)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g}%" if share >= _LEAST_KEPT else "none"
 
 
 def sources_of(request: DiagnoseRequest) -> tuple[str, Path, tuple[Source, ...]]:

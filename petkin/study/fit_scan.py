@@ -137,7 +137,7 @@ def fit_scan(
             by_voxel.append(_completed(fit_voxels(method, voxels, for_voxels, choices, here), applied))
             voxels.plan.release()
     remarks = (
-        *source.remarks,
+        *dict.fromkeys((*source.remarks, *(measured.remarks if measured is not None else ()))),
         *([smeared] if smeared else []),
         *([warning("delay-unknown", source.label, doubt)] if doubt else []),
         *([warning("delay-coarse", source.label, coarse)] if coarse else []),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from petkin.errors import InputError
 from petkin.imaging import FrameSchedule
 from petkin.io import RegionalCurves, Regions, Rows, Series, read_label_volume, read_regions, require_same_grid
+from petkin.io.remarks import Remark, warning
 from petkin.study.resources import Plan
 from petkin.study.sources import Source
 
@@ -174,10 +175,12 @@ class _RegionSums:
         self.inside = np.flatnonzero(labels > 0)
         self.place = np.searchsorted(np.array(regions.index), labels[self.inside])
         self.means = np.full((len(regions.index), frames), np.nan)
+        self.lacking = np.zeros(len(self.inside), np.bool_)
 
     def add(self, k: int, flat: NDArray[np.float32]) -> None:
         values = flat[self.inside].astype(np.float64)
         finite = np.isfinite(values)
+        self.lacking |= ~finite
         size = len(self.regions.index)
         total = np.bincount(self.place, np.where(finite, values, 0.0), size)
         count = np.bincount(self.place, finite, size)
@@ -193,5 +196,17 @@ class _RegionSums:
             regions.desc,
             regions.volumes,
             f"{series.path.name} over {regions.where}",
+            self._remarks(series),
             index=regions.index,
         )
+
+    def _remarks(self, series: Series) -> tuple[Remark, ...]:
+        if not self.lacking.any():
+            return ()
+        among = np.unique(self.place[self.lacking])
+        where = self.regions.names[among[0]] if len(among) == 1 else f"{len(among)} regions"
+        text = (
+            f"{self.lacking.sum()} voxels of {where} hold NaN or infinite values in some frame; means over regions "
+            "leave them out there."
+        )
+        return (warning("region-not-finite", series.path.name, text),)

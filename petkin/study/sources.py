@@ -79,7 +79,10 @@ def completed(source: Source, request: FitRequest) -> Source:
     if request.shared_by_regions and source.image is not None and request.level != "region":
         raise InputError(f"{label}: {request.shared_by_regions} fits regions alone; add --level region.")
     if request.level == "region" and source.curves is None and source.dseg is None:
-        raise InputError(f"{label}: regions need --dseg or --tacs; there is neither a segmentation nor curves.")
+        raise InputError(
+            f"{label}: regions need a segmentation (_dseg.nii.gz) or a table of curves (_tacs.tsv), in the study or, "
+            "where the command takes them, by --dseg or --tacs; there is neither."
+        )
     if source.image is None and source.curves is None:
         raise InputError(f"{label}: neither an image nor a table of regional curves to fit; see petkin info.")
     _require_geometry(source, request)

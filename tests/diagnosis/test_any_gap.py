@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -64,3 +66,22 @@ def test_hypotheses_that_only_some_know_say_nothing_of_the_others() -> None:
 def test_draws_have_the_p_values_of_their_ranks() -> None:
     p = told(2).p_values
     np.testing.assert_allclose(np.sort(p), np.arange(1, 301) / 300)
+
+
+def test_a_witness_of_other_data_is_heard() -> None:
+    """A gap that it alone sees, of a hypothesis or of a name of its own, counts; its draws are those of noise."""
+    rng = np.random.default_rng(5)
+    quiet = [told(i) for i in range(6)]
+    for name in ("ripple", "elsewhere"):
+        said = {name: np.append(9.0, two_sided(rng.standard_normal(100))), "tilt": two_sided(rng.standard_normal(101))}
+        heard = [quiet[0].witnessed(said, rng, times=1.0), *quiet[1:]]
+        assert heard[0].found[heard[0].names.index(name)] > 6.0
+        assert len(heard[0].drawn) == len(quiet[0].drawn)
+        assert any_gap([one.p_value for one in quiet], heard) < 0.02 < p_of(*quiet)
+    assert quiet[0].witnessed({}, rng, times=2.0) is quiet[0]
+
+
+def test_a_p_value_counts_as_often_as_the_most_doubtful_witness_makes_it() -> None:
+    weak = [told(i, 2.2) for i in range(12)]
+    doubted = [*weak[:-1], replace(weak[-1], times=2.5)]
+    assert p_of(*doubted) == pytest.approx(2.5 * p_of(*weak))

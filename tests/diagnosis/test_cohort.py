@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -172,3 +174,10 @@ def test_a_pair_that_one_member_has_is_not_what_all_share() -> None:
     odd = Member("odd", 0.01, {"offset": 20.0, "ripple": 10.0, "ripple+tilt": 300.0}, {}, {}, NOISE)
     assert in_common([*usual, odd]).chosen == ("offset",)
     assert in_common([*usual, odd]).causes[0].carriers[-1] < 0.1
+
+
+def test_sizes_in_other_channels_or_units_have_no_mean() -> None:
+    one = Strength("amplitude", "1", 0.1, 0.05, 0.15, signed=True, single=False, channel="putamen")
+    assert _pooled([one, replace(one, value=0.12)]) is not None
+    assert _pooled([one, replace(one, channel="lesion")]) is None
+    assert _pooled([replace(one, single=True), replace(one, single=True, unit="mm")]) is None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import Family, Pattern, holding, judge_contrasts
-from petkin.diagnosis.families import likelihood
+from petkin.diagnosis.families import likelihood, misfit
 
 ROWS, SAMPLES = 3, 15
 
@@ -69,3 +71,29 @@ def test_a_family_holds_as_much_besides_as_it_shows(mixed: float, least: float, 
         bare = Family(rng.standard_normal((ROWS, SAMPLES)) + besides, APART[:0], np.eye(ROWS))
         shares.append(np.abs(holding(bare, further, 1e-9, times=2.0).nuisance).max() / np.abs(further).max())
     assert least - 1e-9 <= np.median(shares) / 2.0 <= most + 1e-9
+
+
+def test_what_a_column_leaves_of_noise_is_one_a_degree_of_freedom() -> None:
+    rng, column = np.random.default_rng(3), np.ones((ROWS, SAMPLES)) * COURSE
+    drawn = [np.linalg.cholesky(SHARED) @ rng.standard_normal((ROWS, SAMPLES)) for _ in range(200)]
+    families = [Family(rows + APART[0] + 5.0 * column, APART, SHARED) for rows in drawn]
+    assert np.mean([misfit(family, column, 1e-9) for family in families]) == pytest.approx(1.0, abs=0.05)
+    odd = 3.0 * np.ones((ROWS, 1)) * (-1.0) ** np.arange(SAMPLES)
+    assert np.mean([misfit(replace(f, rows=f.rows + odd), column, 1e-9) for f in families[:20]]) > 4.0
+
+
+def test_a_size_is_that_of_a_usual_pattern_and_no_surer_than_what_it_leaves() -> None:
+    """Half of the course is liked more; the whole one says how much, what it leaves of the contrasts in its error."""
+    rng = np.random.default_rng(4)
+    early = np.ones((ROWS, 1)) * (np.arange(SAMPLES) < SAMPLES // 2)
+    whole = np.ones((ROWS, SAMPLES))
+    patterns = [Pattern("drift", "x", whole, {}), Pattern("drift", "x", early, {}, usual=False)]
+    family = Family(4.0 * early + rng.standard_normal((ROWS, SAMPLES)), np.zeros((0, ROWS, SAMPLES)), np.eye(ROWS))
+    found = judge_contrasts({"x": family}, patterns, least=1e-9, draws=50, rng=rng)
+    assert found.settings["drift"][1][1] > found.settings["drift"][0][1]
+    best = found.best["drift"]
+    assert best.pattern is patterns[0]
+    assert best.value == pytest.approx(4.0 * (SAMPLES // 2) / SAMPLES, abs=0.3)
+    assert best.high - best.low > 2.5 * 1.645 * whole.size**-0.5 * 1.5
+    assert best.detectability == pytest.approx(whole.size**0.5)
+    assert set(found.drawn) == {"drift"}

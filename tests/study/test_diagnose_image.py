@@ -204,3 +204,36 @@ def test_an_axis_is_said_of_the_motion_whose_size_is_said() -> None:
     said = cause_entry(pair)["estimate"]
     assert list(said) == ["amplitude", "onset_min", "second_amplitude", "second_axis"]
     assert said["amplitude"]["region"] == "Putamen"
+
+
+def test_voxels_without_a_value_are_said(tmp_path: Path) -> None:
+    study = spoilt(tmp_path)
+    path = study / "sub-01/pet/sub-01_pet.nii.gz"
+    image, labels = nib.load(path), nib.load(next(study.rglob("*_dseg.nii.gz")))
+    values = np.asarray(image.dataobj, np.float32).copy()
+    values[(*np.argwhere(np.asarray(labels.dataobj) == 1)[0], slice(5, 9))] = np.nan
+    nib.save(nib.Nifti1Image(values, image.affine), path)
+    one = diagnosed(study, tmp_path / "out")
+    assert any("1 voxels of" in str(remark) and "NaN" in str(remark) for remark in one.remarks)
+    assert "hold NaN or infinite values" in one.report.read_text()
+
+
+def test_what_one_image_shows_is_a_gap_of_the_cohort(tmp_path: Path) -> None:
+    """Two heads that move, seen within regions, among four scans: regions alone hardly show it."""
+    study = spoilt(tmp_path, moved_mm=(0.0, 3.0, 0.0))
+    for i, label in enumerate(("02", "03", "04")):
+        other = tmp_path / label
+        other.mkdir()
+        source = spoilt(other, moved_mm=(0.0, 3.0, 0.0) if i == 0 else (0.0, 0.0, 0.0))
+        for path in sorted(source.rglob("*sub-01*")):
+            if path.is_file():
+                place = study / str(path.relative_to(source)).replace("sub-01", f"sub-{label}")
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.write_bytes(path.read_bytes())
+    *scans, group = diagnose_study(DiagnoseRequest(study, out=tmp_path / "out", include=INCLUDES))
+    assert [one.answer["verdict"]["kind"] for one in scans] == ["named", "named", "none", "none"]
+    assert group.answer["gap"]["present"]
+    leader = group.answer["causes"][0]
+    assert leader["effects"] == ["motion_step"]
+    assert leader["amplitude"]["unit"] == "mm"
+    assert leader["amplitude"]["value"] == pytest.approx(3.0, abs=1.0)

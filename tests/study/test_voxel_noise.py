@@ -128,3 +128,14 @@ def test_regions_that_touch_share_noise_at_their_border() -> None:
         np.testing.assert_allclose(found, np.cov(sums), atol=0.15 * found[0, 0])
         np.testing.assert_allclose(np.sqrt(np.diag(found)), noise.sizes(weights), rtol=1e-9)
         assert found[0, 1] > 0.1 * found[0, 0]
+
+
+def test_frames_in_which_most_voxels_count_nothing_are_as_noisy_as_their_counts() -> None:
+    """Half of the absolute residuals of such a frame are next to nothing, but their sum scatters by the counts."""
+    rng, inside = np.random.default_rng(8), LABELS > 0
+    expected = np.where(np.arange(FRAMES) < 3, 0.1, 25.0)
+    counts = rng.poisson(expected, (int(inside.sum()), FRAMES)).astype(np.float64)
+    spread = np.ones((2, FRAMES)) * np.sqrt(expected)
+    found = voxel_noise(counts, LABELS, spread, np.stack([expected, np.ones(FRAMES)]), np.full(3, 5.0))
+    assert (counts[:, 0] == 0).mean() > 0.85
+    np.testing.assert_allclose(found.by_frame[:, :3], 1.0, rtol=0.25)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.diagnosis import DRIVE, ONE, WITHIN, Cause, Diagnosis, Estimate, State, Visible, indistinct
+from petkin.diagnosis import DRIVE, ONE, WITHIN, Cause, Diagnosis, Estimate, State, Visible, indistinct, witnessed
 from petkin.effects import effect_named
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.imaging import PLANES
@@ -85,7 +85,7 @@ def answer(
                 "split_by": split_by(found),
                 "sentence": sentence(found) + told(shown),
             },
-            "cannot_tell": cannot_tell(found.visible, simulator, shown),
+            "cannot_tell": cannot_tell(witnessed(found.visible, found.shown), simulator, shown),
             "parameters": _parameters(found, simulator),
             "provenance": {"petkin": __version__, "seed": seed, "seconds": seconds},
         }

@@ -29,8 +29,8 @@ _SIDES = np.array([-1.0, 0.0, 1.0])
 
 
 def included(simulator: RegionalSimulator, fit: Fit) -> tuple[Estimate, ...]:
-    """What the simulator's own refit makes of the effects that it includes, in their order; a setting, which is not
-    refitted, has no width.
+    """What the simulator's own refit makes of the effects that it includes, in their order, and what an image shows of
+    them where it does; a setting, which is not refitted, has no width.
 
     Args:
         simulator: with its included effects.
@@ -43,7 +43,9 @@ def included(simulator: RegionalSimulator, fit: Fit) -> tuple[Estimate, ...]:
         symbol = effect.amplitude.symbol
         name = symbol if effect.name in simulator.logarithmic else effect.name
         sizes = _sizes(simulator, effect)
-        if name in simulator.shared.symbols:
+        if effect.name in simulator.seen:
+            found.append(replace(simulator.seen[effect.name], symbol=symbol))
+        elif name in simulator.shared.symbols:
             i = simulator.shared.symbols.index(name)
             found.append(_of(effect, sizes(fit.state.shared[i] + Z90 * shared[i] * _SIDES)))
         elif name in simulator.own.symbols:
@@ -99,7 +101,11 @@ def settled(simulator: RegionalSimulator, values: Array, told: Told = _untold) -
 
 
 def in_picture(
-    simulator: RegionalSimulator, values: Array, based: Base, told: Told | None = None
+    simulator: RegionalSimulator,
+    values: Array,
+    based: Base,
+    told: Told | None = None,
+    seen: Mapping[str, Estimate] | None = None,
 ) -> tuple[RegionalSimulator, Base]:
     """The simulator with the effects that it includes as a picture tells of them, and its fit; both as they were where
     none is told otherwise.
@@ -109,12 +115,13 @@ def in_picture(
         values: curves (R, K).
         based: what `base_fit` finds without the picture.
         told: a hypothesis with what the picture says of its settings; None where it says nothing.
+        seen: how large it shows effects to be, by name.
     """
     model = simulator.model(simulator.starts[0], np.zeros(len(simulator.shared)))
     forms = tuple(form_of(effect, model) for effect in simulator.includes)
     if forms == simulator.includes and told is None:
         return simulator, based
-    simulator = settled(replace(simulator, includes=forms, settings={}), values, told or _untold)
+    simulator = settled(replace(simulator, includes=forms, settings={}, seen=seen or {}), values, told or _untold)
     return simulator, base_fit(simulator, values)
 
 

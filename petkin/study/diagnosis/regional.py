@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Coordinates, Hypothesis, Shape, Term
+from petkin.diagnosis import Coordinates, Estimate, Hypothesis, Shape, Term
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vessels, effect_named
 from petkin.imaging import CountingNoise, Exchange, FrameObservation
@@ -69,6 +69,7 @@ class RegionalSimulator:
         moves: what motion adds to regions, where an image tells; see `Camera`.
         settings: of included effects by name, parameters beside the amplitude, which are not refitted, each a number or
             one a region; starts of the catalogue for the rest.
+        seen: of included effects by name, how large an image shows them to be.
     """
 
     channels: tuple[str, ...]
@@ -84,6 +85,7 @@ class RegionalSimulator:
     errors: Array = field(default_factory=lambda: np.zeros((0, 1)))
     moves: Exchange | None = None
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    seen: Mapping[str, Estimate] = field(default_factory=dict)
     _kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False

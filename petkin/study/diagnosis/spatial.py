@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
 from petkin.diagnosis import Contrasted, Family, Hypothesis, Pattern, holding, judge_contrasts
@@ -46,6 +46,8 @@ _SHARPENED = 8
 _TIMES = 1.6
 #: Onsets at most, and the shares of a frame at which they are tried: no refit moves them; draws of noise.
 _ONSETS, _WITHIN, _DRAWS = 40, (0.0, 0.5), 400
+#: What a gap of no name that only voxels show goes by among the hypotheses of scans.
+_WITHIN_REGIONS = "within regions"
 #: How often contrasts show nothing of an effect that is there: a head turns, a gain is in one region alone.
 _UNSEEN = {"partial_volume": 0.05, "motion_step": 0.2, "motion_drift": 0.2, "attenuation_mismatch": 0.5}
 
@@ -60,7 +62,17 @@ class Looked:
     @property
     def log_odds(self) -> dict[str, float]:
         """What the image lends its effects, by name: their evidence, as often as they show."""
-        return {name: _shown(name, evidence) for name, evidence in self.contrasted.evidence.items()}
+        return {name: float(_shown(name, evidence)) for name, evidence in self.contrasted.evidence.items()}
+
+    @property
+    def against(self) -> dict[str, Array]:
+        """The same for the data, then for draws of noise (1 + n,); of a gap of no name under a name of its own."""
+        found = {
+            name: _shown(name, np.append(evidence, self.contrasted.drawn[name]))
+            for name, evidence in self.contrasted.evidence.items()
+        }
+        departed = self.contrasted.departed
+        return found if departed is None else found | {_WITHIN_REGIONS: departed}
 
     def told(self, hypothesis: Hypothesis) -> Hypothesis:
         """A hypothesis about regions that knows what the image says of it, setting by setting where it has some."""
@@ -73,9 +85,9 @@ class Looked:
         return replace(hypothesis, log_odds=self.log_odds[name], told=tuple(map(float, told)), witness="image")
 
 
-def _shown(name: str, evidence: float) -> float:
+def _shown(name: str, evidence: ArrayLike) -> Array:
     """Log evidence of an effect that may not show in contrasts at all."""
-    return float(np.logaddexp(np.log(_UNSEEN[name]), np.log1p(-_UNSEEN[name]) + evidence))
+    return np.logaddexp(np.log(_UNSEEN[name]), np.log1p(-_UNSEEN[name]) + np.asarray(evidence))
 
 
 def _said(found: Sequence[tuple[Mapping[str, float], float]], setting: Mapping[str, float]) -> float:
@@ -253,16 +265,21 @@ def _patterns(contrast: _Contrast, scene: Scene, simulator: RegionalSimulator) -
     always = scene.voxels.framed(contrast.weights, contrast.maps, scene.voxels.picture.courses)
     place = {"axis": float(contrast.axis)}
     return [
-        Pattern(name, contrast.family, always * course, place | setting, width=contrast.prior, course=course)
+        Pattern(
+            name, contrast.family, always * course, place | setting, width=contrast.prior, course=course, usual=usual
+        )
         for name in contrast.names
-        for setting, course in _courses(name, simulator)
+        for setting, course, usual in _courses(name, simulator)
     ]
 
 
-def _courses(name: str, simulator: RegionalSimulator) -> Iterator[tuple[dict[str, float], Array]]:
-    """Settings and courses over the frames of what sets in during the scan."""
+def _courses(name: str, simulator: RegionalSimulator) -> Iterator[tuple[dict[str, float], Array, bool]]:
+    """Settings and courses over the frames of what sets in during the scan; how large a drift is, one over the whole
+    scan says."""
     if name == "motion_drift":
-        yield from (({}, course) for course in drifts(simulator.clock.frames))
+        whole, *others = drifts(simulator.clock.frames)
+        yield {}, whole, True
+        yield from (({}, course, False) for course in others)
         return
     for onset in onsets(simulator.clock, _ONSETS, _WITHIN, scanner=True):
-        yield {"onset": onset}, after(simulator.clock, onset)
+        yield {"onset": onset}, after(simulator.clock, onset), True

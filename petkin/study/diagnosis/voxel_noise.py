@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 _FURTHEST_MM = 25.0
 #: No more than this share of a frame counts as taken by the courses; no frame or region is quieter than that share.
 _TAKEN, _QUIET = 0.8, 0.05
+#: From this share of voxels at nought on a frame is empty; the median of absolute normal values.
+_EMPTY, _OF_NORMAL = 0.05, 0.6745
 #: Voxels that scatter as one, and how far noise usually keeps from the law of a region's own counts.
 _TOGETHER, _USUAL_LAW = 10.0, 0.5
 #: How far a region's noise usually keeps from the others', in logarithms: set beforehand, not by how scans are judged.
@@ -122,12 +124,21 @@ def voxel_noise(
     kept = np.sqrt(np.maximum(np.diagonal(residual, axis1=1, axis2=2), 1.0 - _TAKEN))
     even = _evened(left / kept[place], place, spread)
     left /= even.astype(np.float32)[place]
-    by_frame = even * _relative(np.median(np.abs(left / kept[place]), axis=0).astype(np.float64), np.median)
+    by_frame = even * _relative(_by_frame(left / kept[place], curves), np.median)
     left /= (by_frame / even).astype(np.float32)[place]
     bends: NDArray[np.floating] = second_differences(left)  # type: ignore[arg-type]
     bends /= _bent(residual, by_frame).astype(np.float32)[place]
     noise = VoxelNoise(by_frame, _shared(bends, labels, size), labels)
     return replace(noise, by_frame=by_frame * _by_region(left / kept[place], place, noise)[:, None])
+
+
+def _by_frame(left: NDArray[np.floating], curves: NDArray[np.floating]) -> Array:
+    """Usual size of the voxels' residuals in every frame (K,): the median, which edges that have moved hardly change;
+    the root mean square where many voxels have counted nothing, as the median then says how large nothing is."""
+    found = np.median(np.abs(left), axis=0).astype(np.float64)
+    empty = (curves == 0).mean(axis=0) > _EMPTY
+    found[empty] = _OF_NORMAL * np.sqrt((left[:, empty].astype(np.float64) ** 2).mean(axis=0))
+    return found
 
 
 def _bent(residual: NDArray[np.floating], by_frame: Array) -> Array:

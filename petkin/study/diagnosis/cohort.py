@@ -11,8 +11,9 @@ from petkin.effects import effect_named
 from petkin.study.diagnosis.answer import rounded, words
 
 SCHEMA = "petkin-gap-cohort/1"
-#: A scan that carries the cause with more than this probability is counted.
-_CARRIES = 0.5
+#: A scan that carries the cause with more than this probability is counted; for sure with more than the other, as one
+#: that says nothing of it carries it with the probability that any of them does.
+_CARRIES, _SURELY = 0.5, 0.9
 
 
 def cohort_answer(found: Cohort, answers: Sequence[dict[str, Any]], *, seed: int, seconds: float) -> dict[str, Any]:
@@ -87,12 +88,13 @@ def sentence(found: Cohort) -> str:
     if found.kind == "unknown":
         return f"There are gaps (p = {found.p_value:.2g}) but no cause that these {count} scans share."
     leader = found.causes[0]
-    carriers = int((leader.carriers > _CARRIES).sum())
+    carriers, surely = (int((leader.carriers > share).sum()) for share in (_CARRIES, _SURELY))
+    by = f"{surely} to {carriers}" if 0 < surely < carriers else str(carriers)
     size = ""
     if leader.mean is not None:
         unit = "" if leader.unit == "1" else f" {leader.unit}"
         size = f", {leader.mean.value:.3g}{unit} on average ({leader.mean.low:.3g} to {leader.mean.high:.3g})"
-    text = f"{words(leader.label).capitalize()} is shared by {carriers} of {count} scans{size}"
+    text = f"{words(leader.label).capitalize()} is shared by {by} of {count} scans{size}"
     if found.kind == "named":
         return f"{text}."
     others = " or ".join(words(label) for label in found.chosen[1:])

@@ -6,7 +6,7 @@ with p_i the p-value of data set i and B_ie the evidence of hypothesis e in it, 
 hypothesis (see `statistic`). F is Fisher's, which sees that many gaps are a little likely; S sees that a few hold the
 same, or one a large one, which F loses among many that hold none. The smaller of both p-values is taken against its own
 distribution over draws, one of every data set at a time; that of S, which one data set may settle, is no smaller than
-its draws can tell.
+its draws can tell. The answer counts as often as the most doubtful evidence has it (`AgainstNoise.times`).
 
 Reference: Fisher RA. Statistical methods for research workers. Edinburgh: Oliver and Boyd; 1932.
 """

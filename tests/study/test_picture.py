@@ -12,9 +12,8 @@ import pytest
 from petkin.diagnosis import Family, holding
 from petkin.imaging import FrameSchedule, Motion, blur, moved
 from petkin.study.diagnosis.picture import Picture, Voxels
-from petkin.study.diagnosis.scene import Scene, _slope
+from petkin.study.diagnosis.scene import Scene, _slope, drifts
 from petkin.study.diagnosis.spatial import _contrasts, _Predicted, moves
-from petkin.study.diagnosis.standing import drifts
 from petkin.study.diagnosis.voxel_noise import VoxelNoise
 
 REGIONS, FRAMES, EACH = 3, 8, 30

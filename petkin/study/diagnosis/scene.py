@@ -12,10 +12,23 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.imaging import PLANES, middle_and_rim
+from petkin.imaging import PLANES, FrameSchedule, middle_and_rim
 from petkin.study.diagnosis.picture import BESIDE, Voxels
 
 Array = NDArray[np.float64]
+
+#: Effects that move the picture, and that change it by gains.
+MOTIONS, GAINS = ("motion_step", "motion_drift"), ("attenuation_mismatch",)
+#: Priors: mm of motion, relative gain at the edge of the head.
+MOTION_MM, GAIN = 10.0, 0.2
+#: When a drift begins and ends, as shares of the scan; the first is the whole of it.
+_DRIFTS = ((0.0, 1.0), (0.0, 1 / 3), (0.0, 2 / 3), (1 / 3, 2 / 3), (1 / 3, 1.0), (2 / 3, 1.0))
+
+
+def drifts(frames: FrameSchedule) -> list[Array]:
+    """Courses (K,) that a drift may have over the frames, that over the whole scan first."""
+    passed = frames.mid / frames.end[-1]
+    return [np.clip((passed - begins) / (ends - begins), 0.0, 1.0) for begins, ends in _DRIFTS]
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from petkin.study.diagnosis.fields import Maps, departures
 from petkin.study.diagnosis.onsets import onsets
 from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.scene import Scene
-from petkin.study.diagnosis.standing import GAIN, GAINS, MOTION_MM, MOTIONS, Standing, drifts
+from petkin.study.diagnosis.scene import GAIN, GAINS, MOTION_MM, MOTIONS, Scene, drifts
+from petkin.study.diagnosis.standing import Standing
 from petkin.study.diagnosis.variation import Variation, Weighed
 
 Array = NDArray[np.float64]

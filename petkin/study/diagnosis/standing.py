@@ -15,27 +15,15 @@ from numpy.typing import NDArray
 
 from petkin.effects import Effect
 from petkin.effects.imaging import after
-from petkin.imaging import FrameSchedule
 from petkin.study.diagnosis.fields import added, fields_of
 from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.scene import Scene
+from petkin.study.diagnosis.scene import GAIN, GAINS, MOTION_MM, MOTIONS, Scene, drifts
 
 Array = NDArray[np.float64]
 
-MOTIONS, GAINS = ("motion_step", "motion_drift"), ("attenuation_mismatch",)
-#: Priors: mm of motion, relative gain at the edge of the head.
-MOTION_MM, GAIN = 10.0, 0.2
 #: Voxels that tell what an image holds of included effects.
 _TOLD_BY = 4000
-#: When a drift begins and ends, as shares of the scan.
-_DRIFTS = ((0.0, 1.0), (0.0, 1 / 3), (0.0, 2 / 3), (1 / 3, 2 / 3), (1 / 3, 1.0), (2 / 3, 1.0))
-
-
-def drifts(frames: FrameSchedule) -> list[Array]:
-    """Courses (K,) that a drift may have over the frames."""
-    passed = frames.mid / frames.end[-1]
-    return [np.clip((passed - begins) / (ends - begins), 0.0, 1.0) for begins, ends in _DRIFTS]
 
 
 def spatial(simulator: RegionalSimulator) -> tuple[Effect, ...]:

@@ -84,9 +84,10 @@ def departures(
     return found
 
 
-def fields_of(voxels: Voxels) -> list[Array]:
-    """The fields of all families (N,)."""
-    return [field for fields, _ in _fields(voxels) for field in fields]
+def fields_of(voxels: Voxels) -> Iterator[Array]:
+    """The fields of all families (N,), some at a time."""
+    for fields, _ in _fields(voxels):
+        yield from fields
 
 
 def _fields(voxels: Voxels) -> Iterator[tuple[Array, Iterable[Array]]]:

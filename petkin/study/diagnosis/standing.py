@@ -123,8 +123,8 @@ def _parts(effect: Effect, scene: Scene, simulator: RegionalSimulator) -> list[_
             _Part(lambda: scene.bends, 0.5 * MOTION_MM**2 * courses**2),
         ]
     tilts = _Part(lambda: (scene.tilt(axis) for axis in scene.axes), GAIN * courses)
-    fields = fields_of(scene.voxels)
-    return [tilts, _Part(lambda: (field[:, None] * scene.voxels.seen for field in fields), GAIN * courses)]
+    voxels = scene.voxels
+    return [tilts, _Part(lambda: (field[:, None] * voxels.seen for field in fields_of(voxels)), GAIN * courses)]
 
 
 def _courses(effect: Effect, simulator: RegionalSimulator) -> Array:

@@ -80,8 +80,8 @@ def completed(source: Source, request: FitRequest) -> Source:
         raise InputError(f"{label}: {request.shared_by_regions} fits regions alone; add --level region.")
     if request.level == "region" and source.curves is None and source.dseg is None:
         raise InputError(
-            f"{label}: regions need a segmentation (_dseg.nii.gz) or a table of curves (_tacs.tsv), in the study or, "
-            "where the command takes them, by --dseg or --tacs; there is neither."
+            f"{label}: regions need a segmentation (_dseg.nii.gz) or a table of curves (_tacs.tsv) in the study, or "
+            "--dseg or --tacs where the command takes them; there is neither a segmentation nor curves."
         )
     if source.image is None and source.curves is None:
         raise InputError(f"{label}: neither an image nor a table of regional curves to fit; see petkin info.")

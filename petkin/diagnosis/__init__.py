@@ -5,7 +5,7 @@ from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
 from petkin.diagnosis.contrasts import Best, Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
-from petkin.diagnosis.design import Visible, indistinct, witnessed
+from petkin.diagnosis.design import ABSORBED, Visible, indistinct, witnessed
 from petkin.diagnosis.detect import CLAIM
 from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
@@ -20,6 +20,7 @@ from petkin.diagnosis.verdict import Z90, Cause, Diagnosis, Estimate, Strength
 from petkin.diagnosis.where import PART
 
 __all__ = [
+    "ABSORBED",
     "ALIKE",
     "CLAIM",
     "DRAWS",

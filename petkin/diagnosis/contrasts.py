@@ -154,6 +154,10 @@ def _mean(logs: Array) -> Array:
 
 
 def _sized(pattern: Pattern, score: float, information: float, widened: float) -> Best:
+    """Amplitude with errors as many times those of noise as the root of chi2 a degree of freedom has it, if above 1.
+
+    Reference: Birge RT. Phys Rev 1932;40:207-227.
+    """
     value, error = score / max(information, _TINY), widened * max(information, _TINY) ** -0.5
     low, high = value - Z90 * error, value + Z90 * error
     seen = pattern.width * max(information, 0.0) ** 0.5

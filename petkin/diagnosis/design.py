@@ -24,7 +24,7 @@ INVISIBLE, SAME = 1.5, 0.97
 #: Derivatives by a signed amplitude are taken over this share of its range, to both sides.
 _STEP = 0.02
 #: An effect of which the refit leaves less than this looks like nothing else.
-_ABSORBED = 1e-6
+ABSORBED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def _all(
     inner = projection.inner(columns, columns)
     size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     raw = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    seen = size > _ABSORBED * raw
+    seen = size > ABSORBED * raw
     cosine = np.where(np.outer(seen, seen), np.abs(inner) / np.outer(size, size), 0.0)
     shape = (len(simulator.channels), len(simulator.own))
     solved = np.linalg.lstsq(fit.jacobian, columns, rcond=1e-10)[0]

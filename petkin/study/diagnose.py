@@ -15,7 +15,6 @@ from petkin.diagnosis import (
     Detected,
     Hypothesis,
     Member,
-    Visible,
     base_fit,
     detect,
     diagnose,
@@ -47,6 +46,7 @@ from petkin.study.arterial import Reading, arterial_input
 from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.blood import allowing, errors_of, read_at, reading_nodes, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
+from petkin.study.diagnosis.design_table import design_table
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, pictured, weighed
 from petkin.study.diagnosis.including import settled
@@ -70,8 +70,6 @@ from petkin.study.sources import Source
 ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
 #: Fewer frames than this with activity cannot carry a diagnosis.
 _FEWEST_FRAMES = 10
-#: Less of an effect than this share is none of it.
-_LEAST_KEPT = 1e-6
 #: Share of the work that the noise of several scans is.
 _LAWS = 0.2
 
@@ -308,20 +306,6 @@ def foresee_study(request: DiagnoseRequest, progress: Progress = _silent) -> tup
         found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
     progress("done", 1.0)
     return tuple(found)
-
-
-def design_table(visible: tuple[Visible, ...]) -> str:
-    """d' at the end of the plausible range, what the refit keeps, and the likeliest double, a line an effect."""
-    lines = [f"  {'effect':24}{'d prime':>9}{'kept':>10}  taken for"]
-    for v in sorted(visible, key=lambda v: -v.detectability):
-        partners = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in v.partners[:2])
-        hidden = "  cannot be seen" if v.invisible else ""
-        lines.append(f"  {v.hypothesis.name:24}{v.detectability:9.2f}{_percent(v.kept):>10}  {partners}{hidden}")
-    return "\n".join(lines)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g}%" if share >= _LEAST_KEPT else "none"
 
 
 def sources_of(request: DiagnoseRequest) -> tuple[str, Path, tuple[Source, ...]]:

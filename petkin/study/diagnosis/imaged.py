@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 _SURE = 3.0
 #: From this d' of an effect of a usual size on an image shows it, whatever regions hide.
 _SHOWN = 5.0
-#: What the smaller of two p-values, of regions and of contrasts, is multiplied by: contrasts' is below 0.02 in 0.06 of
+#: What the smaller of two p-values, of regions and of contrasts, is multiplied by: contrasts' is below 0.02 in 0.07 of
 #: noise. Of 182 and 229 training scans of noise alone 0.03 and 0.06 then lie below 0.03, 0.06 and 0.07 with 2; of 114
 #: cohorts of such scans 0.04, and 0.08 with 1.
 _TESTS = 2.5

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
-from petkin.diagnosis import Contrasted, Family, Hypothesis, Pattern, holding, judge_contrasts
+from petkin.diagnosis import WITHIN, Contrasted, Family, Hypothesis, Pattern, holding, judge_contrasts
 from petkin.effects.imaging import after
 from petkin.imaging import WAYS, Exchange, blur, origin
 from petkin.study.diagnosis.fields import Maps, departures
@@ -46,8 +46,6 @@ _SHARPENED = 8
 _TIMES = 1.6
 #: Onsets at most, and the shares of a frame at which they are tried: no refit moves them; draws of noise.
 _ONSETS, _WITHIN, _DRAWS = 40, (0.0, 0.5), 400
-#: What a gap of no name that only voxels show goes by among the hypotheses of scans.
-_WITHIN_REGIONS = "within regions"
 #: How often contrasts show nothing of an effect that is there: a head turns, a gain is in one region alone.
 _UNSEEN = {"partial_volume": 0.05, "motion_step": 0.2, "motion_drift": 0.2, "attenuation_mismatch": 0.5}
 
@@ -72,7 +70,7 @@ class Looked:
             for name, evidence in self.contrasted.evidence.items()
         }
         departed = self.contrasted.departed
-        return found if departed is None else found | {_WITHIN_REGIONS: departed}
+        return found if departed is None else found | {WITHIN: departed}
 
     def told(self, hypothesis: Hypothesis) -> Hypothesis:
         """A hypothesis about regions that knows what the image says of it, setting by setting where it has some."""

@@ -60,7 +60,7 @@ def run_job(
     if place()[0] > 0:
         return []
     run.model.task = replace(run.model.task, emission=physics.emission)
-    spent = time.process_time() - start
+    spent = run.earlier_s + time.process_time() - start
     rows = [row | {"cpu_s": spent} for row in _measured(job, preset, run.model, "; ".join(run.remarks))]
     append_rows(
         "learning",

@@ -6,6 +6,7 @@ no gradient leads back), is noticed, said, and begun again from other first weig
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
@@ -47,6 +48,7 @@ class Run:
         losses: of every step so far.
         remarks: what went wrong on the way, a sentence each.
         checks: (step, error on the validation dynamics).
+        earlier_s: processor time of runs that were stopped before, up to the checkpoint that this one goes on from.
     """
 
     model: Identifier
@@ -54,6 +56,7 @@ class Run:
     losses: list[float] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     checks: list[tuple[int, float]] = field(default_factory=list)
+    earlier_s: float = 0.0
 
 
 #: Makes a model with fresh first weights from a seed.
@@ -115,6 +118,7 @@ class _Files:
     checkpoint: Path | None
     log: Path | None
     progress: Callable[[int, float], None] | None
+    since: float = field(default_factory=time.process_time)
 
 
 def _attempt(make: Maker, data: Dataset, settings: Settings, validation: Dataset | None, files: _Files) -> Run:
@@ -234,7 +238,8 @@ def _save(
     tensors["generator"] = generator.get_state()
     tensors["losses"] = torch.tensor(run.losses, dtype=torch.float64)
     tensors["checks"] = torch.tensor(kept.checks, dtype=torch.float64).reshape(-1, 2)
-    card = {"settings": asdict(settings), "task": run.model.task.name, "step": run.step}
+    spent = run.earlier_s + time.process_time() - files.since
+    card = {"settings": asdict(settings), "task": run.model.task.name, "step": run.step, "cpu_s": spent}
     save_tensors(files.checkpoint, tensors, card)
 
 
@@ -253,5 +258,6 @@ def _resume(
     restore_optimiser(optimiser, dict(below("adam.", tensors)))
     generator.set_state(tensors["generator"])
     run.step, run.losses = int(card["step"]), tensors["losses"].tolist()
+    run.earlier_s = float(card.get("cpu_s", 0.0))
     checks = tensors.get("checks", torch.zeros(0, 2)).tolist()
     kept.checks, kept.best = [(int(step), error) for step, error in checks], dict(below("best.", tensors))

@@ -77,6 +77,7 @@ def test_a_resumed_run_goes_on_to_the_same_losses(tmp_path):
     assert load_tensors(path)[1]["step"] == 5
     resumed = train(make, data(), _SHORT, checkpoint=path)
     assert resumed.losses == whole.losses
+    assert whole.earlier_s == 0.0 < resumed.earlier_s
     for a, b in zip(whole.model.parameters(), resumed.model.parameters()):
         assert torch.equal(a, b)
     with pytest.raises(InputError, match="a checkpoint of another run"):

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import Family, Pattern, holding, judge_contrasts
-from petkin.diagnosis.families import likelihood, misfit
+from petkin.diagnosis.families import likelihood, misfit, scored
 
 ROWS, SAMPLES = 3, 15
 
@@ -97,3 +97,17 @@ def test_a_size_is_that_of_a_usual_pattern_and_no_surer_than_what_it_leaves() ->
     assert best.high - best.low > 2.5 * 1.645 * whole.size**-0.5 * 1.5
     assert best.detectability == pytest.approx(whole.size**0.5)
     assert set(found.drawn) == {"drift"}
+
+
+def test_a_size_is_read_though_nuisance_that_looks_like_it_was_told_too_large() -> None:
+    """Rows that are short of the pattern just where nuisance is not: beside all of it little would be left."""
+    time = np.linspace(0.0, 1.0, SAMPLES)
+    pattern, alike = np.ones((ROWS, 1)) * time, np.ones((ROWS, 1)) * time**2
+    apart = pattern - (pattern * alike).sum() / (alike**2).sum() * alike
+    family = Family(20.0 * (pattern - apart), 2.0 * alike[None], np.eye(ROWS))
+    found = judge_contrasts(
+        {"x": family}, [Pattern("drift", "x", pattern, {})], least=1e-9, draws=50, rng=np.random.default_rng(0)
+    )
+    scores, information = scored(family, pattern.reshape(1, -1), 1e-9)
+    assert float(scores[0] / information[0, 0]) < 8.0
+    assert found.best["drift"].value > 14.0

@@ -88,8 +88,12 @@ def test_motion_is_named_with_its_size_and_onset(moved: Diagnosed) -> None:
     assert {stage["stage"] for stage in answer["where"]["stages"]} >= {"imaging"}
 
 
-@pytest.mark.parametrize(("effect", "axis"), [("motion_step=2,axis=2,onset=30", 2), ("motion_drift=4,axis=3", 3)])
-def test_motion_that_was_simulated_is_named(tmp_path: Path, effect: str, axis: int) -> None:
+@pytest.mark.parametrize(
+    ("effect", "axis", "within"),
+    [("motion_step=2,axis=2,onset=30", 2, 0.35), ("motion_drift=4,axis=3", 3, 0.35), ("motion_drift=9,axis=1", 1, 0.2)],
+)
+def test_motion_that_was_simulated_is_named(tmp_path: Path, effect: str, axis: int, within: float) -> None:
+    """A long drift makes kinetics within regions seem to vary, which would hide much of it."""
     settings = SimulationSettings(
         out=tmp_path / "study", phantom="brain3d", voxel_size=7.0, noise=8.0, psf=5.0, effects=(effect,)
     )
@@ -98,7 +102,7 @@ def test_motion_that_was_simulated_is_named(tmp_path: Path, effect: str, axis: i
     name, _, size = effect.partition("=")
     assert one.answer["verdict"]["set"] == [name]
     estimate = one.answer["causes"][0]["estimate"]
-    assert estimate["amplitude"]["value"] == pytest.approx(float(size.split(",")[0]), rel=0.35)
+    assert estimate["amplitude"]["value"] == pytest.approx(float(size.split(",")[0]), rel=within)
     assert estimate["axis"]["value"] == axis
 
 

@@ -54,7 +54,7 @@ from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scatter
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
-from petkin.study.diagnosis.scatter import Scatter
+from petkin.study.diagnosis.scatter import Scatter, as_voxels_scatter
 from petkin.study.diagnosis.shared_law import SharedLaw, of_all
 from petkin.study.diagnosis.sidecar import Blunder, blunders
 from petkin.study.diagnosis.state import read_states
@@ -186,6 +186,8 @@ def _diagnosed(
     progress("looking at the image", 0.1)
     picture, imaged = picture_of(source, simulator, detected.based[0]), None
     if picture is not None:
+        if scatter is not None:
+            scatter = as_voxels_scatter(scatter, simulator, detected.based[0], picture.grain.by_frame)
         # what voxels say of each region's noise leaves no law of it open
         simulator = replace(simulator, grain=picture.grain.of_means(), law_errors=simulator.law_errors[:0])
         based = base_fit(simulator, curves.values)

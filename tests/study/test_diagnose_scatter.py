@@ -19,7 +19,7 @@ from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts
 from petkin.study.diagnosis.regional import hypotheses
 from petkin.study.diagnosis.report import _law_of_noise
 from petkin.study.diagnosis.request import DiagnoseRequest
-from petkin.study.diagnosis.scatter import Scatter, evidence_without_gap, look_at_scatter
+from petkin.study.diagnosis.scatter import Scatter, as_voxels_scatter, evidence_without_gap, look_at_scatter
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
 
@@ -55,6 +55,22 @@ def test_counts_are_left_alone_and_so_is_a_step(tmp_path: Path) -> None:
     assert not scatter_of(request).claimed
     late = np.where(np.arange(46) > 36, 1.3, 1.0)
     assert not scatter_of(request, late).claimed
+
+
+def test_a_flat_law_is_that_of_voxels_too(tmp_path: Path) -> None:
+    """A gap in the mean of a region makes its residuals uneven; voxels scatter as they did."""
+    request = request_of(tmp_path, "noise_variance=1")
+    _, _, (source,) = sources_of(request)
+    curves, simulator = prepared(source, request)
+    base = base_fit(simulator, curves.values)
+    said, counts = look_at_scatter(simulator, base, seed=0), simulator.spread(base[0].values)
+    flat = replace(simulator, law=NoiseLaw(0.0, 0.0, 0.0)).spread(base[0].values)
+    assert said.claimed
+    assert as_voxels_scatter(said, simulator, base[0], flat / counts).claimed
+    assert not as_voxels_scatter(said, simulator, base[0], np.ones_like(counts)).claimed
+    # under the law that was taken voxels scatter evenly
+    taken = replace(simulator, law=NoiseLaw(0.0, 0.0, 0.0))
+    assert as_voxels_scatter(said, taken, base[0], np.ones_like(counts)).claimed
 
 
 def test_it_can_be_taken_out(tmp_path: Path) -> None:

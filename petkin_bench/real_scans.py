@@ -27,9 +27,10 @@ from petkin.effects.clock import grown
 from petkin.errors import InputError
 from petkin.imaging import FrameObservation
 from petkin.io import RegionalCurves
-from petkin.study.diagnose import ALWAYS, prepared, sources_of
+from petkin.study.diagnose import ALWAYS
 from petkin.study.diagnosis.blood import errors_of
 from petkin.study.diagnosis.judging import diagnose_curves, law_of_noise, laws_in_common
+from petkin.study.diagnosis.preparing import prepared, sources_of
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
 from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
 from petkin.study.diagnosis.shared_law import SharedLaw

@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from petkin.diagnosis import (
     Detected,
     Hypothesis,
@@ -23,14 +21,11 @@ from petkin.diagnosis import (
 )
 from petkin.effects import EFFECTS
 from petkin.effects.noise import NOISE_VARIANCE
-from petkin.errors import InputError
-from petkin.imaging import FrameObservation
 from petkin.io import (
     AtomicFolder,
     RegionalCurves,
     Remark,
     json_text,
-    require_cover,
     write_bytes,
     write_map,
     write_text,
@@ -42,18 +37,16 @@ from petkin.reporting import (
     render_cohort_report,
     render_gap_report,
 )
-from petkin.study.arterial import Reading, arterial_input
 from petkin.study.diagnosis.answer import answer
-from petkin.study.diagnosis.blood import allowing, errors_of, read_at, reading_nodes, recorded_input
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.design_table import design_table
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, picture_of, pictured, weighed
-from petkin.study.diagnosis.including import settled
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
+from petkin.study.diagnosis.preparing import prepared, sources_of
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.report import Judged, gap_report
-from petkin.study.diagnosis.request import FITTED, DiagnoseRequest
+from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter, as_voxels_scatter
 from petkin.study.diagnosis.shared_law import SharedLaw, of_all
 from petkin.study.diagnosis.sidecar import Blunder, blunders
@@ -61,15 +54,10 @@ from petkin.study.diagnosis.state import read_states
 from petkin.study.diagnosis.state_files import write_states
 from petkin.study.fit_scan import Progress
 from petkin.study.outputs import require_own_folder, write_study_description
-from petkin.study.reading import read_sources
-from petkin.study.request import FitRequest
-from petkin.study.series import regional_curves
 from petkin.study.sources import Source
 
 #: Effects whose weak template says little of what they do at full strength: these always get a refit.
 ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
-#: Fewer frames than this with activity cannot carry a diagnosis.
-_FEWEST_FRAMES = 10
 #: Share of the work that the noise of several scans is.
 _LAWS = 0.2
 
@@ -308,67 +296,3 @@ def foresee_study(request: DiagnoseRequest, progress: Progress = _silent) -> tup
         found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
     progress("done", 1.0)
     return tuple(found)
-
-
-def sources_of(request: DiagnoseRequest) -> tuple[str, Path, tuple[Source, ...]]:
-    """Name of the study, folder for its results, and the scans that the request means."""
-    return read_sources(_reading(request))
-
-
-def _reading(request: DiagnoseRequest) -> FitRequest:
-    return FitRequest(
-        target=request.target,
-        out=request.out,
-        models=(request.compartments.label,),
-        level="region",
-        subjects=request.subjects,
-        sessions=request.sessions,
-        seg=request.seg,
-        command_line=request.command_line,
-    )
-
-
-def prepared(source: Source, request: DiagnoseRequest) -> tuple[RegionalCurves, RegionalSimulator]:
-    """Regional curves of a scan, and the simulator that they are compared with; settings of what it includes are those
-    that suit the curves.
-
-    Raises:
-        InputError: no curves, no blood, too few frames, or values that are not finite.
-    """
-    curves = regional_curves(source)
-    if source.blood is None:
-        raise InputError(f"{source.label}: there is no blood (_blood.tsv); the simulator needs an arterial input.")
-    _check(curves, source.label)
-    require_cover(source.blood, source.frames)
-    end = float(curves.frames.end[-1])
-    fitted = request.blood == FITTED
-    arterial = arterial_input(source, Reading()) if fitted else recorded_input(source.blood, end)
-    nodes = reading_nodes(arterial, end)
-    errors = errors_of(arterial, nodes, request.blood)
-    arterial = allowing(arterial, nodes, errors, request.blood)
-    simulator = RegionalSimulator(
-        curves.names,
-        request.compartments.label,
-        read_at(arterial, nodes),
-        FrameObservation(curves.frames, source.decay),
-        request.included,
-        nodes,
-        frozenset({"parent_fraction"}) if source.blood.metabolites_measured else frozenset(),
-        errors=errors,
-    )
-    return curves, settled(simulator, curves.values)
-
-
-def _check(curves: RegionalCurves, label: str) -> None:
-    if not np.isfinite(curves.values).all():
-        r, k = np.argwhere(~np.isfinite(curves.values))[0]
-        raise InputError(
-            f"{label}: region {curves.names[r]!r} has no finite value in frame {k + 1}; leave the region out."
-        )
-    if curves.values.shape[1] < _FEWEST_FRAMES:
-        raise InputError(
-            f"{label}: {curves.values.shape[1]} frames are too few for a diagnosis; {_FEWEST_FRAMES} is the least."
-        )
-    for name, row in zip(curves.names, curves.values):
-        if not row.max() > 0:
-            raise InputError(f"{label}: region {name!r} holds no activity in any frame; leave it out.")

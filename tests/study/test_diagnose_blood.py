@@ -16,8 +16,9 @@ from petkin.effects import EFFECTS
 from petkin.errors import InputError
 from petkin.inputs import InputFunction, from_blood
 from petkin.io import BloodRecord
-from petkin.study.diagnose import diagnose_study, prepared, sources_of
+from petkin.study.diagnose import diagnose_study
 from petkin.study.diagnosis.blood import recorded_input
+from petkin.study.diagnosis.preparing import prepared, sources_of
 from petkin.study.diagnosis.record import between_errors, fraction_samples, plasma_samples, record_errors, remark
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.request import FITTED, RECORDED, DiagnoseRequest

@@ -58,22 +58,27 @@ class _Scored:
     together: tuple[NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, departure: Departure, least: float, name: str = "", course: Array | None = None) -> _Scored:
-        """Scores, where a name is given of what that effect with its course leaves."""
+    def of(cls, departure: Departure, named: Mapping[str, Array], least: float) -> tuple[_Scored, dict[str, _Scored]]:
+        """Scores, and by name what an effect with its course (K,) leaves of them."""
         cosines = np.stack([each[:_COUNT] for each in courses(departure.times)])
         places = np.concatenate([departure.added, departure.parts])
         columns = places[:, None, None] * cosines[None, :, :, None, :]
         flat = columns.reshape(-1, departure.family.rows.size)
-        if course is None:
-            score, information = scored(departure.family, flat, least)
-        else:
-            by, squared = departure.held[name]
-            theirs = np.concatenate([by * course, squared * course**2]).reshape(-1, flat.shape[1])
-            score, information = _beyond(*scored(departure.family, np.concatenate([flat, theirs]), least), len(flat))
-        which = np.arange(len(score)).reshape(columns.shape[:3])
+        beside = {
+            name: np.concatenate([by * named[name], squared * named[name] ** 2]).reshape(-1, flat.shape[1])
+            for name, (by, squared) in departure.held.items()
+            if name in named
+        }
+        score, information = scored(departure.family, np.concatenate([flat, *beside.values()]), least)
+        which = np.arange(len(flat)).reshape(columns.shape[:3])
         alone = tuple(which[:, scale] for scale in range(len(cosines)))
         together = tuple(each[: len(departure.added)].reshape(1, -1) for each in alone)
-        return cls(score, information, alone, together)
+        left, start, mine = {}, len(flat), np.arange(len(flat))
+        for name, theirs in beside.items():
+            both = np.append(mine, np.arange(start, start + len(theirs)))
+            left[name] = cls(*_beyond(score[both], information[np.ix_(both, both)], len(flat)), alone, together)
+            start += len(theirs)
+        return cls(score[mine], information[: len(flat), : len(flat)], alone, together), left
 
     def misfits(self) -> list[float]:
         """Squares of the scores of every place that is in a gap of several, in units of what they have without one."""
@@ -139,14 +144,14 @@ def judge_departures(
         draws: of noise.
         rng: randomness.
     """
-    every = [_Scored.of(each, least) for each in departures]
+    every, beside = zip(*[_Scored.of(each, named or {}, least) for each in departures], strict=True)
     usual = np.median([m for each in every for m in each.misfits()]) / chi2.median(_COUNT)
     scale = max(float(usual), 1.0)
     drawn = [rng.standard_normal((draws, len(each.score))) @ root(each.information) for each in every]
     null = _total([each.evidence(scores, 1.0) for each, scores in zip(every, drawn, strict=True)])
     left = {}
-    for name, course in (named or {}).items():
-        theirs = [_Scored.of(each, least, name, course) for each in departures if name in each.held]
+    for name in named or {}:
+        theirs = [each[name] for each in beside if name in each]
         if theirs:
             left[name] = float(_total([each.evidence(each.score, scale) for each in theirs]))
     return float(_total([each.evidence(each.score, scale) for each in every])), null, left

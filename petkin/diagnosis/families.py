@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lu_factor, lu_solve
 
 Array = NDArray[np.float64]
 
@@ -76,10 +77,16 @@ def holding(family: Family, further: Array, least: float, *, times: float) -> Fa
         times: more than 1 where few rows tell the share, or it differs between them.
     """
 
-    def with_share(share: float) -> Family:
-        return replace(family, nuisance=np.concatenate([family.nuisance, share * further]))
+    whitened = _whitening(family, least)
+    rows, nuisance = whitened(family.rows[None])[0], whitened(np.concatenate([family.nuisance, further]))
+    inner, held = nuisance @ nuisance.T, nuisance @ rows
 
-    return with_share(times * max(_SHARES, key=lambda share: likelihood(with_share(share), least)))
+    def likely(share: float) -> float:
+        size = np.repeat([1.0, share], [len(family.nuisance), len(further)])
+        return _log_likelihood(rows, size[:, None] * inner * size, size * held)
+
+    share = times * max(_SHARES, key=likely)
+    return replace(family, nuisance=np.concatenate([family.nuisance, share * further]))
 
 
 def likelihood(family: Family, least: float) -> float:
@@ -89,9 +96,14 @@ def likelihood(family: Family, least: float) -> float:
     """
     whitened = _whitening(family, least)
     rows, nuisance = whitened(family.rows[None])[0], whitened(family.nuisance)
-    inner, held = np.eye(len(nuisance)) + nuisance @ nuisance.T, nuisance @ rows
-    square = rows @ rows - held @ np.linalg.solve(inner, held)
-    return float(-0.5 * (square + np.linalg.slogdet(inner)[1]))
+    return _log_likelihood(rows, nuisance @ nuisance.T, nuisance @ rows)
+
+
+def _log_likelihood(rows: Array, inner: Array, held: Array) -> float:
+    """The same from whitened rows c, N V^{-1} N' and N V^{-1} c."""
+    factors = lu_factor(np.eye(len(inner)) + inner)
+    square = rows @ rows - held @ lu_solve(factors, held)
+    return float(-0.5 * (square + np.log(np.abs(np.diag(factors[0]))).sum()))
 
 
 def _whitening(family: Family, least: float) -> Callable[[Array], Array]:

@@ -55,7 +55,7 @@ def test_how_places_are_mixed_does_not_matter_to_what_is_as_visible_any_way() ->
     other = replace(one, added=np.einsum("ab,bjk->ajk", mixing, one.added))
     found = []
     for each in (one, other):
-        scored = _Scored.of(each, 1e-9)
+        scored = _Scored.of(each, {}, 1e-9)[0]
         found.append(scored.evidence(scored.score, 1.0)[2])
     np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
     assert (found[0] > 5.0).all()
@@ -72,7 +72,7 @@ def test_a_gap_in_a_part_is_seen_where_no_place_alone_shows_it() -> None:
     (before, _), (after, drawn) = (judged(each, np.random.default_rng(13)) for each in (without, whole))
     assert after > before + 3.0
     assert after > drawn.max()
-    plain, kept = _Scored.of(without, 1e-9), _Scored.of(whole, 1e-9)
+    plain, kept = (_Scored.of(each, {}, 1e-9)[0] for each in (without, whole))
     assert plain.misfits() == pytest.approx(kept.misfits())
     for one, other in zip(plain.evidence(plain.score, 1.0)[1:], kept.evidence(kept.score, 1.0)[1:], strict=True):
         np.testing.assert_allclose(one, other)
@@ -91,7 +91,7 @@ def test_a_part_that_nothing_shows_has_no_evidence() -> None:
 def test_noise_has_no_evidence_of_what_is_as_visible_any_way() -> None:
     """A likelihood ratio of 20 in less than a twentieth of draws; here in a hundredth."""
     rng = np.random.default_rng(7)
-    scored = _Scored.of(departure(swelling(), rng), 1e-9)
+    scored = _Scored.of(departure(swelling(), rng), {}, 1e-9)[0]
     drawn = rng.standard_normal((4000, len(scored.score))) @ root(scored.information)
     ratio = np.exp(scored.evidence(drawn, 1.0)[2])
     assert (np.mean(ratio >= 20.0, axis=0) <= 0.01).all()

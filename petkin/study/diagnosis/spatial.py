@@ -115,32 +115,33 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         seed: of the draws of noise.
     """
     predicted, standing = _Predicted.of(voxels), Standing.of(voxels, simulator)
+    blurring, patterns = predicted.blurred()
+    sums = voxels.sums(blurring.weights)
+    width = predicted.width(sums, patterns)
+    scene = Scene(replace(voxels, drawn=predicted.seen(width)[voxels.inside]))
+    contrasts = _contrasts(scene)
+    patterns += [pattern for contrast in contrasts for pattern in _patterns(contrast, scene, simulator)]
+    patterns = [pattern for pattern in patterns if pattern.name in names]
+    added = _named(scene, contrasts)
+    least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
 
-    def asked(still: Voxels) -> tuple[Looked, list[_Contrast]]:
-        families, patterns = predicted.blurred(standing, still)
-        width = predicted.width(families["blur"].rows, patterns)
-        scene = Scene(replace(voxels, drawn=predicted.seen(width)[voxels.inside]))
-        contrasts = _contrasts(scene)
-        variation = Variation.of(still, contrasts)
-        least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
-        for contrast in contrasts:
-            families[contrast.family] = _family(contrast, scene, variation, standing, least)
-            patterns += _patterns(contrast, scene, simulator)
-        patterns = [pattern for pattern in patterns if pattern.name in names]
-        rng = np.random.default_rng((seed, len(patterns)))
+    def asked(still: Voxels) -> Contrasted:
+        varying, variation = Variation.of(still, [blurring]), Variation.of(still, contrasts)
+        nuisance = np.concatenate([varying.columns(blurring.weights), standing.rows(blurring.weights)])
+        families = {"blur": Family(sums, nuisance, blurring.noise)}
+        families |= {each.family: _family(each, scene, variation, standing, least) for each in contrasts}
         held = (variation.joint, standing.joint)
-        unnamed = departures(scene.voxels, held, simulator.clock.frames.mid, _named(scene, contrasts), least=least)
-        found = judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
-        return Looked(found, width), contrasts
+        unnamed = departures(scene.voxels, held, simulator.clock.frames.mid, added, least=least)
+        rng = np.random.default_rng((seed, len(patterns)))
+        return judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
 
-    first, contrasts = asked(voxels)
-    found = first.contrasted
-    timed = {name: best for name, best in found.best.items() if best.pattern.course is not None}
-    leader = max(timed, key=lambda name: found.evidence[name], default=None)
-    if leader is None or found.evidence[leader] < _EVIDENT:
-        return first
-    again, _ = asked(_without(voxels, timed[leader], contrasts))
-    return replace(again, contrasted=replace(again.contrasted, p_value=found.p_value))
+    first = asked(voxels)
+    timed = {name: best for name, best in first.best.items() if best.pattern.course is not None}
+    leader = max(timed, key=lambda name: first.evidence[name], default=None)
+    if leader is None or first.evidence[leader] < _EVIDENT:
+        return Looked(first, width)
+    again = asked(_without(voxels, timed[leader], contrasts))
+    return Looked(replace(again, p_value=first.p_value), width)
 
 
 def _without(voxels: Voxels, best: Best, contrasts: Sequence[_Contrast]) -> Voxels:
@@ -227,23 +228,19 @@ class _Predicted:
         number = np.maximum(np.bincount(self.voxels.place), 1)
         return self.voxels.over_regions(maps[self.voxels.inside]) / number[:, None]
 
-    def blurred(self, standing: Standing, still: Voxels) -> tuple[dict[str, Family], list[Pattern]]:
-        """One contrast for the point spread, with a pattern a width, beside effects that are included.
+    def blurred(self) -> tuple[Weighed, list[Pattern]]:
+        """One contrast for the point spread, with a pattern a width.
 
         It is there in every frame, as kinetics that vary are: how far they do is told by decoys of this very contrast,
         which are as fine as it is.
         """
         voxels, courses = self.voxels, self.voxels.picture.courses
         weights = voxels.centred(self.seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
-        contrast = Weighed(weights, voxels.picture.grain.between(weights))
-        variation = Variation.of(still, [contrast])
-        rows = [voxels.framed(weights, self.seen(width)[voxels.inside], courses) for width in _WIDTHS]
-        patterns = [
-            Pattern("partial_volume", "blur", row, {}, scale=width, signed=False)
-            for width, row in zip(_WIDTHS, rows, strict=True)
-        ]
-        nuisance = np.concatenate([variation.columns(weights), standing.rows(weights)])
-        return {"blur": Family(voxels.sums(weights), nuisance, contrast.noise)}, patterns
+        patterns = []
+        for width in _WIDTHS:
+            row = voxels.framed(weights, self.seen(width)[voxels.inside], courses)
+            patterns.append(Pattern("partial_volume", "blur", row, {}, scale=width, signed=False))
+        return Weighed(weights, voxels.picture.grain.between(weights)), patterns
 
     def width(self, contrast: Array, patterns: list[Pattern]) -> float:
         """The FWHM at which the predicted contrast is as large as the image's, mm."""

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from petkin.diagnosis import Cause, Contrasted, Estimate, Hypothesis
+from petkin.diagnosis import Best, Cause, Contrasted, Estimate, Hypothesis, Pattern
 from petkin.study.diagnose import Diagnosed, diagnose_study
 from petkin.study.diagnosis.answer import cause_entry, sized
+from petkin.study.diagnosis.imaged import _sized
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.spatial import Looked
 from petkin.study.simulate import simulate
@@ -208,6 +209,20 @@ def test_an_axis_is_said_of_the_motion_whose_size_is_said() -> None:
     said = cause_entry(pair)["estimate"]
     assert list(said) == ["amplitude", "onset_min", "second_amplitude", "second_axis"]
     assert said["amplitude"]["region"] == "Putamen"
+
+
+@pytest.mark.parametrize(("evidence", "error", "told"), [(1.0, 6.0, True), (1.0, 0.1, False), (9.0, 0.1, True)])
+def test_mm_are_those_of_whoever_is_surer(evidence: float, error: float, told: bool) -> None:
+    """Unless the image is sure of the effect: then they are its own."""
+    pattern = Pattern("motion_drift", "motion 2", np.ones((1, 3)), {"axis": 2.0})
+    seen = Contrasted(
+        {"motion_drift": evidence}, {"motion_drift": []}, {"motion_drift": Best(pattern, -0.3, -0.4, -0.2)}, 0.5
+    )
+    regional = Estimate("amplitude", "mm", 0.0, -error, error, effect="motion_drift")
+    axis = Estimate("axis", "1", 0.0, 0.0, 0.0, effect="motion_drift")
+    cause = Cause(("motion_drift",), ("imaging",), 0.5, 1.0, (regional, axis))
+    found = {e.symbol: e.value for e in _sized(cause, Looked(seen, 0.0)).estimates}
+    assert found == ({"amplitude": 0.3, "axis": 2.0} if told else {"amplitude": 0.0, "axis": 0.0})
 
 
 def test_voxels_without_a_value_are_said(tmp_path: Path) -> None:

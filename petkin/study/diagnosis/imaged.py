@@ -32,7 +32,8 @@ from petkin.study.sources import Source
 
 Array = NDArray[np.float64]
 
-#: From this log evidence on the image, not the regions, says how large an effect is and when it set in.
+#: From this log evidence on the image, not the regions, says how large an effect is and when it set in; below it too
+#: where its mm are the surer ones.
 _SURE = 3.0
 #: From this d' of an effect of a usual size on an image shows it, whatever regions hide.
 _SHOWN = 5.0
@@ -158,16 +159,24 @@ def _sized(cause: Cause, looked: Looked) -> Cause:
     estimates = list(cause.estimates)
     for name in cause.effects:
         best = looked.contrasted.best.get(name)
-        if best is None or looked.contrasted.evidence[name] < _SURE:
+        if best is None:
             continue
         place = next((i for i, e in enumerate(estimates) if (e.effect, e.symbol) == (name, "amplitude")), None)
-        if name in _IN_MM and place is not None:
-            estimates[place] = _in_mm(name, looked)
+        in_mm = _in_mm(name, looked) if name in _IN_MM and place is not None else None
+        narrower = in_mm is not None and place is not None and _width(in_mm) < _width(estimates[place])
+        if looked.contrasted.evidence[name] < _SURE and not narrower:
+            continue
+        if in_mm is not None and place is not None:
+            estimates[place] = in_mm
         if len(cause.effects) == 1:
             symbols = [s for s in ("onset", "axis")[: 1 + (name in _IN_MM)] if s in best.pattern.setting]
             estimates = [e for e in estimates if e.symbol not in symbols]
             estimates += [_set(symbol, name, best, looked.contrasted.settings[name]) for symbol in symbols]
     return replace(cause, estimates=tuple(estimates))
+
+
+def _width(estimate: Estimate) -> float:
+    return estimate.high - estimate.low
 
 
 def _strengths(found: Diagnosis, looked: Looked) -> dict[str, Strength]:

@@ -18,7 +18,8 @@ strengths of its own (B(t), see `evidence`),
 So what is too weak in each is told by all where their strengths agree, and a member that shows none of a cause that is
 strong elsewhere does not have it weakly. Where strengths differ between channels they have nothing in common. The mean
 strength that is said is that of DerSimonian and Laird; its interval is theirs, or that of Student's t with the spread
-that is seen (Hartung, Knapp), whichever is wider: a spread that few members tell is itself unsure.
+that is seen (Hartung, Knapp), whichever is wider: a spread that few members tell is itself unsure. An error that all
+members have alike is not averaged away.
 
 Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Clin Trials 1986;7:177-188; Knapp G,
 Hartung J. Stat Med 2003;22:2693-2710.
@@ -271,7 +272,8 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
     if len({s.unit for s in strengths}) > 1 or len({s.channel for s in strengths if not s.single}) > 1:
         return None
     values = np.array([s.value for s in strengths])
-    variance = np.array([_error(s) for s in strengths]) ** 2
+    alike = np.array([s.alike for s in strengths])
+    variance = np.maximum(np.array([_error(s) for s in strengths]) ** 2 - (alike * values) ** 2, 1e-12)
     weight = 1.0 / variance
     fixed = (weight @ values) / weight.sum()
     excess = weight @ (values - fixed) ** 2 - (len(values) - 1)
@@ -279,7 +281,8 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
     weight = 1.0 / (variance + spread)
     mean = float((weight @ values) / weight.sum())
     seen = (weight @ (values - mean) ** 2) / (len(values) - 1)
-    half = float(max(Z90, stdtrit(len(values) - 1, _TAILS[1]) * np.sqrt(seen)) * weight.sum() ** -0.5)
+    own = max(Z90, stdtrit(len(values) - 1, _TAILS[1]) * np.sqrt(seen)) * weight.sum() ** -0.5
+    half = float(np.hypot(own, Z90 * alike.max() * mean))
     return _Pooled(Interval(mean, mean - half, mean + half), float(np.sqrt(spread)))
 
 

@@ -45,10 +45,12 @@ class Strength(Estimate):
     Args:
         signed: whether it may be negative.
         single: whether there is one, or about the same in all channels; not of what is only there or not.
+        alike: standard deviation, as a share of it, of an error in it that all data sets of a kind have alike.
     """
 
     signed: bool
     single: bool
+    alike: float = 0.0
 
 
 @dataclass(frozen=True)

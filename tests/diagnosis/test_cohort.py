@@ -89,6 +89,19 @@ def test_the_interval_of_a_mean_holds_it_however_few_tell_its_spread(count: int,
     assert 0.87 <= held / 400 <= 0.98
 
 
+def test_an_error_that_all_have_alike_is_not_averaged_away() -> None:
+    """Twenty scans each read a tenth too much, as all scans of a kind may."""
+    rng, noise = np.random.default_rng(1), 0.02
+    half = 1.645 * np.hypot(noise, 0.1 * 1.1)
+    read = 1.1 + noise * rng.standard_normal(20)
+    one = [Strength("amplitude", "mm", s, s - half, s + half, signed=False, single=True, alike=0.1) for s in read]
+    pooled = _pooled(one)
+    assert pooled is not None
+    assert pooled.interval.low < 1.0 < pooled.interval.high
+    assert pooled.interval.high - pooled.interval.low == pytest.approx(2.0 * 1.645 * 0.1 * 1.1, rel=0.05)
+    assert pooled.between < 0.02
+
+
 def test_members_without_a_gap_share_nothing() -> None:
     alarms = sum(in_common(members([0.0] * 4, seed)).present for seed in range(10, 14))
     assert alarms <= 1

@@ -182,7 +182,7 @@ def _width(estimate: Estimate) -> float:
 def _strengths(found: Diagnosis, looked: Looked) -> dict[str, Strength]:
     """Sizes in mm of effects that the image is sure of: how far, since the way is another in every scan."""
     return {
-        name: Strength(**vars(_in_mm(name, looked)), signed=False, single=True)
+        name: Strength(**vars(_in_mm(name, looked)), signed=False, single=True, alike=_IN_MM[name])
         for name in _sure(looked)
         if name in found.strengths
     }

@@ -23,8 +23,8 @@ from petkin.diagnosis.verdict import Z90
 Array = NDArray[np.float64]
 
 _TINY = 1e-300
-#: Share of its nuisance that a family keeps where a size is read. What is told beforehand of nuisance was told without
-#: the effect, which made it large.
+#: Share of its nuisance that a family keeps where a size is read: what is told of nuisance is told without the effect,
+#: which makes it large. With all of it 27 motions of training images err by 0.20 in the logarithm, with this by 0.15.
 _KEPT = 0.25
 
 

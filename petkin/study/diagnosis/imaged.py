@@ -162,13 +162,12 @@ def _sized(cause: Cause, looked: Looked) -> Cause:
         if best is None:
             continue
         place = next((i for i, e in enumerate(estimates) if (e.effect, e.symbol) == (name, "amplitude")), None)
-        in_mm = _in_mm(name, looked) if name in _IN_MM and place is not None else None
-        narrower = in_mm is not None and place is not None and _width(in_mm) < _width(estimates[place])
-        if looked.contrasted.evidence[name] < _SURE and not narrower:
-            continue
-        if in_mm is not None and place is not None:
-            estimates[place] = in_mm
-        if len(cause.effects) == 1:
+        sure = looked.contrasted.evidence[name] >= _SURE
+        if name in _IN_MM and place is not None:
+            in_mm = _in_mm(name, looked)
+            sure = sure or _width(in_mm) < _width(estimates[place])
+            estimates[place] = in_mm if sure else estimates[place]
+        if sure and len(cause.effects) == 1:
             symbols = [s for s in ("onset", "axis")[: 1 + (name in _IN_MM)] if s in best.pattern.setting]
             estimates = [e for e in estimates if e.symbol not in symbols]
             estimates += [_set(symbol, name, best, looked.contrasted.settings[name]) for symbol in symbols]

@@ -46,7 +46,7 @@ _COUNTS_LOG_ODDS = float(np.log(4.0))
 #: One-sided p-value and log evidence from which on a more even scatter is told, where no other law is likelier: rarer
 #: than other claims, since a gap of the mean may also make residuals uneven.
 _CLAIM, SURE = 1e-3, 5.0
-#: Share of a flatness that voxels show where it is one: of five claims beside gaps of 950 simulated images they showed
+#: Share of a flatness that voxels show where it is one: of four false claims beside gaps of training images they showed
 #: 0.2 to 0.4, of what `noise_variance` makes 0.9.
 _AS_VOXELS = 0.5
 #: What a flatness of 1 takes from every exponent.

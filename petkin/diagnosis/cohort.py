@@ -48,6 +48,8 @@ _PREVALENCES = np.linspace(0.15, 0.99, 43)
 _NO_GAP = 0.5
 _TAILS = (0.05, 0.95)
 _LISTED, _NEGLIGIBLE = 8, 0.005
+#: The least standard deviation that a strength is taken to have, in its unit.
+_LEAST_ERROR = 1e-6
 #: Probability from which on a member's strength counts among the carriers'.
 _CARRY = 0.5
 #: A strength in common: in units of the median error, and by how much of itself it differs between members.
@@ -273,7 +275,7 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
         return None
     values = np.array([s.value for s in strengths])
     alike = np.array([s.alike for s in strengths])
-    variance = np.maximum(np.array([_error(s) for s in strengths]) ** 2 - (alike * values) ** 2, 1e-12)
+    variance = np.maximum(np.array([_error(s) for s in strengths]) ** 2 - (alike * values) ** 2, _LEAST_ERROR**2)
     weight = 1.0 / variance
     fixed = (weight @ values) / weight.sum()
     excess = weight @ (values - fixed) ** 2 - (len(values) - 1)
@@ -287,7 +289,7 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
 
 
 def _error(strength: Estimate) -> float:
-    return max((strength.high - strength.low) / (2.0 * Z90), 1e-6)
+    return max((strength.high - strength.low) / (2.0 * Z90), _LEAST_ERROR)
 
 
 def _alike(members: Sequence[Member]) -> dict[frozenset[str], float]:

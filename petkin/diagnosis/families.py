@@ -76,31 +76,28 @@ def holding(family: Family, further: Array, least: float, *, times: float) -> Fa
         least: no mixture of rows has noise of a smaller standard deviation.
         times: more than 1 where few rows tell the share, or it differs between them.
     """
-
     whitened = _whitening(family, least)
     rows, nuisance = whitened(family.rows[None])[0], whitened(np.concatenate([family.nuisance, further]))
     inner, held = nuisance @ nuisance.T, nuisance @ rows
 
     def likely(share: float) -> float:
         size = np.repeat([1.0, share], [len(family.nuisance), len(further)])
-        return _log_likelihood(rows, size[:, None] * inner * size, size * held)
+        return likelihood(rows, size[:, None] * inner * size, size * held)
 
     share = times * max(_SHARES, key=likely)
     return replace(family, nuisance=np.concatenate([family.nuisance, share * further]))
 
 
-def likelihood(family: Family, least: float) -> float:
-    """Log likelihood of the rows without any effect, but for a constant of their noise:
+def likelihood(rows: Array, inner: Array, held: Array) -> float:
+    """Log likelihood of rows without any effect, but for a constant of their noise:
 
-    -(c' C^{-1} c + log |1 + N V^{-1} N'|) / 2
+        -(c' C^{-1} c + log |1 + N V^{-1} N'|) / 2
+
+    Args:
+        rows: c, whitened (J K,).
+        inner: N V^{-1} N' (n, n).
+        held: N V^{-1} c (n,).
     """
-    whitened = _whitening(family, least)
-    rows, nuisance = whitened(family.rows[None])[0], whitened(family.nuisance)
-    return _log_likelihood(rows, nuisance @ nuisance.T, nuisance @ rows)
-
-
-def _log_likelihood(rows: Array, inner: Array, held: Array) -> float:
-    """The same from whitened rows c, N V^{-1} N' and N V^{-1} c."""
     factors = lu_factor(np.eye(len(inner)) + inner)
     square = rows @ rows - held @ lu_solve(factors, held)
     return float(-0.5 * (square + np.log(np.abs(np.diag(factors[0]))).sum()))

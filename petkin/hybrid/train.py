@@ -113,7 +113,7 @@ def train(
 
 @dataclass(frozen=True)
 class _Files:
-    """Where a run is kept, if anywhere, and who is told."""
+    """Where a run is kept, if anywhere, who is told, and the processor time, s, when it began or went on."""
 
     checkpoint: Path | None
     log: Path | None

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import Family, Pattern, holding, judge_contrasts
-from petkin.diagnosis.families import likelihood, misfit, scored
+from petkin.diagnosis.families import _whitening, likelihood, misfit, scored
 
 ROWS, SAMPLES = 3, 15
 
@@ -57,7 +57,9 @@ def test_likelihood_is_that_of_a_normal_distribution(nuisance: np.ndarray, noise
     flat = nuisance.reshape(len(nuisance), -1)
     expected = multivariate_normal(cov=alone + flat.T @ flat).logpdf(rows.ravel())
     constant = multivariate_normal(cov=alone).logpdf(np.zeros(rows.size))
-    assert likelihood(Family(rows, nuisance, noise), 1e-9) == pytest.approx(expected - constant, rel=1e-9)
+    whitened = _whitening(Family(rows, nuisance, noise), 1e-9)
+    (white,), beside = whitened(rows[None]), whitened(nuisance)
+    assert likelihood(white, beside @ beside.T, beside @ white) == pytest.approx(expected - constant, rel=1e-9)
 
 
 @pytest.mark.parametrize(("mixed", "least", "most"), [(0.0, 0.1, 0.1), (0.3, 0.2, 0.4), (5.0, 1.2, 1.2)])

@@ -43,7 +43,7 @@ _SHOWN = 5.0
 _TESTS = 2.5
 #: Effects whose size an image gives in mm, and by what share of it that errs besides noise (standard deviation): slopes
 #: are those of an image that has moved, a slow drift is much like kinetics that vary, and voxels blur by themselves. On
-#: scans of other generators steps scatter by 0.1 to 0.2, drifts and blur by 0.1 to 0.5.
+#: scans of other generators steps scatter by 0.1 to 0.2, drifts by 0.1 to 0.3, blur by 0.1 to 0.5.
 _IN_MM = {"partial_volume": 0.35, "motion_step": 0.15, "motion_drift": 0.25}
 
 

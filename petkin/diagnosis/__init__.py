@@ -8,7 +8,7 @@ from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import ABSORBED, Visible, indistinct, witnessed
 from petkin.diagnosis.detect import CLAIM
 from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_left, foresee_design
-from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Simulator, Term
+from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Sighting, Simulator, Term
 from petkin.diagnosis.families import Family, holding
 from petkin.diagnosis.noise import second_differences
 from petkin.diagnosis.nominal import Base, base_fit
@@ -48,6 +48,7 @@ __all__ = [
     "Pattern",
     "Shape",
     "SharedCause",
+    "Sighting",
     "Simulator",
     "State",
     "StateMap",

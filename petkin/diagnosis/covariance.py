@@ -133,6 +133,12 @@ def loads(level: Array) -> Array:
     return np.asarray(level / np.sqrt((level**2).mean(axis=0)), np.float64)
 
 
+def common_axis(count: int, load: Array | None) -> Array:
+    """Direction of length 1 of what samples have in common, (C, K), or (C, 1) where they do not differ."""
+    load = np.ones((count, 1)) if load is None else load
+    return np.asarray(load / np.sqrt((load**2).sum(axis=0)), np.float64)
+
+
 def _excess(share: Any) -> Any:
     """kappa of rho."""
     return share / (1.0 - share)
@@ -149,7 +155,7 @@ def across(mixing: Array, values: Array) -> Array:
 def inverse_root(count: int, share: Array, load: Array | None = None) -> Array:
     """R^{-1/2} for every share (...) by the two eigenvalues of R: (..., 1, C, C); (..., K, C, C) for loads (C, K)."""
     if load is not None:
-        axis = (load / np.sqrt((load**2).sum(axis=0))).T
+        axis = common_axis(count, load).T
         along = 1.0 / np.sqrt(1.0 + count * _excess(share[..., None]) * (load**2).mean(axis=0)) - 1.0
         return np.eye(count) + along[..., None, None] * axis[..., :, None] * axis[..., None, :]
     lone, common = 1.0 / np.sqrt(1.0 - share), 1.0 / np.sqrt(1.0 + (count - 1) * share)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -38,6 +38,22 @@ class Shape:
 
 
 @dataclass(frozen=True)
+class Sighting:
+    """Where a witness of other data puts an effect and everything else.
+
+    Args:
+        own, shared: parameters of the simulator beside it.
+        amplitude: of the effect.
+        setting: of its other parameters.
+    """
+
+    own: Array
+    shared: Array
+    amplitude: float
+    setting: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Hypothesis:
     """An effect that may be missing.
 
@@ -57,6 +73,7 @@ class Hypothesis:
         trust: part of the range that is likely where what it concerns was measured with care; 1 for all of it.
         least: what no amplitude lies below.
         witness: who told `log_odds`; of effects that one witness told, the surest alone counts in a pair.
+        sighting: where a refit may begin besides.
     """
 
     name: str
@@ -76,6 +93,7 @@ class Hypothesis:
     trust: float = 1.0
     least: float = -np.inf
     witness: str = ""
+    sighting: Sighting | None = field(default=None, compare=False)
 
     @property
     def ways(self) -> list[tuple[Mapping[str, float], float]]:

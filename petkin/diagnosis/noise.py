@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from petkin.diagnosis.covariance import MOST_SHARED, Noise, loads
+from petkin.diagnosis.covariance import MOST_SHARED, Noise, common_axis, loads
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def with_factor(residuals: Array, freedom: float, load: Array) -> tuple[Array, A
     squares = (residuals**2).sum(axis=(-2, -1))
     if count == 1:
         return np.sqrt(squares / freedom), np.zeros(residuals.shape[:-2])
-    axis = load / np.sqrt((load**2).sum(axis=0))
+    axis = common_axis(count, load)
     along = ((residuals * axis).sum(axis=-2) ** 2).sum(axis=-1)
     own = np.maximum(np.minimum((squares - along) / (count - 1.0), squares / count), 1e-300)
     kappa = np.maximum(along / own - 1.0, 0.0) / count

@@ -21,7 +21,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import evidence
+from petkin.diagnosis import evidence, pattern
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator
 from petkin.diagnosis.nuisance import Projection
@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 ALL, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
 #: The same of what swings: three cosines that follow on each other, anywhere among them.
 _SWINGS, _BAND = {ALL: "swings alike", EACH: "swings each"}, 3
+#: Or in some channels up while it is down in others, on any course.
+PATTERN = "pattern"
 #: Or in what channels are means of, where somebody looked beside them.
 WITHIN = "within"
 #: Cosines, and the power by which they fade: rougher discrepancies are less likely.
@@ -73,6 +75,7 @@ class Smooth:
 
     columns: tuple[Array, ...]
     kinds: tuple[dict[str, tuple[NDArray[np.intp], evidence.Spread]], ...]
+    noise: Noise
 
     @classmethod
     def around(
@@ -102,7 +105,7 @@ class Smooth:
             kinds.append(
                 {k: (g, evidence.Spread.of(information[g[:, :, None], g[:, None, :]])) for k, g in groups.items()}
             )
-        return cls(tuple(found), tuple(kinds))
+        return cls(tuple(found), tuple(kinds), noise)
 
     def evidence(self, residuals: Array) -> Array:
         """log evidence of a discrepancy for what a refit left of whitened data (..., n)."""
@@ -118,6 +121,8 @@ class Smooth:
         for columns, kinds in zip(self.columns, self.kinds):
             scores = residuals @ columns
             found += [(k, evidence.mean(spread.together(scores[..., g]))) for k, (g, spread) in kinds.items()]
+        if len(self.noise.size) >= pattern.FEWEST:
+            found.append((PATTERN, pattern.log_evidence(pattern.apart(residuals, self.noise))))
         return found
 
 

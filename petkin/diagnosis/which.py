@@ -92,6 +92,11 @@ def singles(
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
             if not patient and by_name[name] < tried[-1].log_evidence < top - _APART:
                 break
+        sighting = terms[0].hypothesis.sighting
+        if sighting is not None:
+            seen = (*base.state.terms, Term(terms[0].hypothesis, sighting.amplitude, sighting.setting))
+            tried.append(refitted(simulator, data, noise, base, State(sighting.own, sighting.shared, seen)))
+            ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
         near = max(tried, key=lambda c: c.gain)
         promised = by_name[name] + foreknown(terms[:1])
         near = as_promised(simulator, data, noise, base, near, (terms[0],), promised)

@@ -3,7 +3,7 @@
 from petkin.imaging.decay import NUCLIDES, Nuclide, decay_constant, half_life, nuclide
 from petkin.imaging.frames import FrameObservation, FrameSchedule
 from petkin.imaging.hypr import composite_image, hypr_lr
-from petkin.imaging.motion import PLANES, WAYS, Exchange, Motion, middle_and_rim, moved, origin
+from petkin.imaging.motion import PLANES, WAYS, Exchange, Leg, Motion, middle_and_rim, moved, origin, origins
 from petkin.imaging.noise import CountingNoise, reference_frame
 from petkin.imaging.point_spread import FWHM_PER_SIGMA, blur, gaussian_kernel
 from petkin.imaging.schedules import SCHEDULES, frame_schedule, in_seconds, parse_schedule
@@ -19,6 +19,7 @@ __all__ = [
     "Exchange",
     "FrameObservation",
     "FrameSchedule",
+    "Leg",
     "Motion",
     "Nuclide",
     "TransferMatrix",
@@ -35,6 +36,7 @@ __all__ = [
     "moved",
     "nuclide",
     "origin",
+    "origins",
     "parse_schedule",
     "reference_frame",
     "transfer_matrix",

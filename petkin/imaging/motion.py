@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ class Exchange:
 
     Args:
         far: mm, ascending, 0 among them (n,).
-        shares: by way of moving and by how far (W, n, R, R); between those it is linear.
+        shares: by way of moving and by how far (W, n, R, R); between those it is a cubic spline, and beyond as there.
     """
 
     far: Array
@@ -52,14 +53,29 @@ class Exchange:
 
     def by(self, motion: Motion) -> Array:
         """D of every frame (K, R, R)."""
-        hats = np.stack([np.interp(motion.far, self.far, row) for row in np.eye(self.far.size)], axis=1)
-        return np.asarray(np.tensordot(motion.share[:, None] * hats, self.shares[motion.way], axes=1), np.float64)
+        weights = self._between(np.clip(motion.far, self.far[0], self.far[-1]))
+        return np.asarray(np.tensordot(motion.share[:, None] * weights, self.shares[motion.way], axes=1), np.float64)
+
+    @cached_property
+    def _between(self) -> Callable[[Array], Array]:
+        from scipy.interpolate import CubicSpline
+
+        return CubicSpline(self.far, np.eye(self.far.size), bc_type="natural")
 
 
-def moved(volume: Array, way: int, far: float, voxel_size: Sequence[float], labelled: NDArray[np.bool_]) -> Array:
+def moved(
+    volume: Array,
+    way: int,
+    far: float,
+    voxel_size: Sequence[float],
+    labelled: NDArray[np.bool_],
+    *,
+    blurred: bool = False,
+) -> Array:
     """A picture [x, y, z] that has moved by so many mm; what comes from beyond the grid is empty.
 
-    Between voxels it is linear: a picture that is even in every voxel is then averaged over voxels as it lies.
+    Between voxels it is linear: a picture that is even in every voxel is then averaged over voxels as it lies. One that
+    went through a point spread would lose more by that, and is a cubic spline there.
 
     Args:
         volume: the picture at rest.
@@ -67,6 +83,7 @@ def moved(volume: Array, way: int, far: float, voxel_size: Sequence[float], labe
         far: mm, at the rim of what is labelled where it turns, about the middle of that.
         voxel_size: mm.
         labelled: mask [x, y, z] of what moves.
+        blurred: whether it went through a point spread.
 
     Raises:
         InputError: the grid has one voxel along an axis that is moved along or turned.
@@ -78,7 +95,8 @@ def moved(volume: Array, way: int, far: float, voxel_size: Sequence[float], labe
     if flat:
         raise InputError(f"axis={way}: the picture has one voxel along axis {flat[0]} and cannot move there.")
     came = origin(np.indices(volume.shape, float).reshape(3, -1), way, far, voxel_size, labelled)
-    return np.asarray(map_coordinates(volume, came, order=1, mode="constant"), np.float64).reshape(volume.shape)
+    order = 3 if blurred else 1
+    return np.asarray(map_coordinates(volume, came, order=order, mode="constant"), np.float64).reshape(volume.shape)
 
 
 def origin(at: Array, way: int, far: float, voxel_size: Sequence[float], labelled: NDArray[np.bool_]) -> Array:
@@ -94,6 +112,26 @@ def origin(at: Array, way: int, far: float, voxel_size: Sequence[float], labelle
     came[one] = middle[one] + (c * x + s * y) / size[one]
     came[two] = middle[two] + (c * y - s * x) / size[two]
     return came
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One part of a way.
+
+    Args:
+        way: as of `Motion`.
+        far: mm.
+    """
+
+    way: int
+    far: float
+
+
+def origins(at: Array, legs: Sequence[Leg], voxel_size: Sequence[float], labelled: NDArray[np.bool_]) -> Array:
+    """Where places (3, N), in voxels, were before motions that came one after another."""
+    for leg in reversed(legs):
+        at = origin(at, leg.way, leg.far, voxel_size, labelled)
+    return at
 
 
 def middle_and_rim(labelled: NDArray[np.bool_], plane: Sequence[int], voxel_size: Array) -> tuple[Array, float]:

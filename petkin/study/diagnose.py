@@ -41,12 +41,13 @@ from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.design_table import design_table
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
-from petkin.study.diagnosis.imaged import look_at_image, picture_of, pictured, weighed
+from petkin.study.diagnosis.imaged import look_at_image, pictured, weighed
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
 from petkin.study.diagnosis.preparing import prepared, sources_of
 from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.resting import picture_of
 from petkin.study.diagnosis.scatter import Scatter, as_voxels_scatter
 from petkin.study.diagnosis.shared_law import SharedLaw, of_all
 from petkin.study.diagnosis.sidecar import Blunder, blunders
@@ -180,8 +181,9 @@ def _diagnosed(
         simulator = replace(simulator, grain=picture.grain.of_means(), law_errors=simulator.law_errors[:0])
         based = base_fit(simulator, curves.values)
         names = frozenset(h.name for h in candidates)
-        simulator, based = pictured(picture, simulator, curves.values, based, seed=request.seed)
-        imaged = look_at_image(picture, simulator, based[0], names, seed=request.seed)
+        simulator, based, rest = pictured(source, picture, simulator, curves.values, based, seed=request.seed)
+        imaged, simulator = look_at_image(source, picture, simulator, based[0], names, rest, seed=request.seed)
+        based = based if simulator.misplaced is None else base_fit(simulator, curves.values)
         candidates = possible()
         seen = tuple(map(imaged.looked.told, candidates))
         detected = detect(simulator, curves.values, seen, seed=request.seed, based=based)

@@ -22,11 +22,12 @@ from petkin.diagnosis import (
     base_fit,
     smallest_set,
 )
-from petkin.io import read_regions
-from petkin.study.diagnosis.including import in_picture
-from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
+from petkin.study.diagnosis.including import in_picture, without
+from petkin.study.diagnosis.picture import Picture, Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.spatial import Looked, look, moves
+from petkin.study.diagnosis.resting import at_rest
+from petkin.study.diagnosis.scene import GAINS, MOTIONS
+from petkin.study.diagnosis.spatial import Looked, look, moving
 from petkin.study.diagnosis.standing import spatial
 from petkin.study.sources import Source
 
@@ -65,60 +66,71 @@ class Imaged:
         return None if unnamed is None else Elsewhere(unnamed, self.log_odds)
 
 
-def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit) -> Picture | None:
-    """The image behind a scan's regional curves; None where those are all there is.
+def pictured(
+    source: Source, picture: Picture, simulator: RegionalSimulator, values: Array, based: Base, *, seed: int
+) -> tuple[RegionalSimulator, Base, Voxels | None]:
+    """The simulator that knows from an image what motion adds to regions, and of the effects that it includes what the
+    image says, with its fit; and the image at rest where motion that it includes went far.
 
     Args:
         source: the scan.
-        simulator: what predicts the means over the regions of its segmentation.
-        fit: of the simulator to them.
-    """
-    if source.image is None or source.dseg is None or source.curves is not None:
-        return None
-    return read_picture(source.image, read_regions(source.dseg, source.image), simulator, fit)
-
-
-def pictured(
-    picture: Picture, simulator: RegionalSimulator, values: Array, based: Base, *, seed: int
-) -> tuple[RegionalSimulator, Base]:
-    """The simulator that knows from an image what motion adds to regions, and of the effects that it includes what the
-    image says, with its fit.
-
-    Args:
-        picture: the image.
+        picture: its image.
         simulator: what predicts the means over its regions.
         values: those means (R, K).
         based: what `base_fit` finds.
         seed: of the draws of noise.
     """
-    simulator = replace(simulator, moves=moves(Voxels.of(picture, simulator, based[0])))
+    simulator = moving(simulator, Voxels.of(picture, simulator, based[0]))
+    bare = without(simulator, frozenset(MOTIONS + GAINS))
     names = frozenset(effect.name for effect in spatial(simulator))
     if not names:
-        return in_picture(simulator, values, based)
-    bare = replace(
-        simulator,
-        includes=tuple(effect for effect in simulator.includes if effect.name not in names),
-        settings={name: each for name, each in simulator.settings.items() if name not in names},
-    )
+        return *in_picture(simulator, values, based), None
     fit, *_ = base_fit(bare, values)
-    looked = look(Voxels.of(picture, bare, fit), bare, names, seed=seed)
-    return in_picture(simulator, values, based, looked.told, {name: _in_mm(name, looked) for name in _sure(looked)})
+    voxels = Voxels.of(picture, bare, fit)
+    looked, rest = look(voxels, bare, names, seed=seed), None
+    if looked.evident:
+        rest = at_rest(source, voxels, bare)
+    if rest is not None:
+        looked = look(rest, bare, names, seed=seed)
+        simulator = moving(simulator, rest)
+    sizes = {name: _in_mm(name, looked) for name in _sure(looked)}
+    return *in_picture(simulator, values, based, looked.told, sizes), rest
 
 
 def look_at_image(
-    picture: Picture, simulator: RegionalSimulator, fit: Fit, names: frozenset[str], *, seed: int
-) -> Imaged:
-    """The image's own evidence on spatial effects.
+    source: Source,
+    picture: Picture,
+    simulator: RegionalSimulator,
+    fit: Fit,
+    names: frozenset[str],
+    rest: Voxels | None = None,
+    *,
+    seed: int,
+) -> tuple[Imaged, RegionalSimulator]:
+    """The image's own evidence on spatial effects, and the simulator that knows what motion adds to regions.
+
+    Where the image has evidently moved far it is asked again as it would be at rest, with the p-value of the first
+    time, when nothing was taken for there.
 
     Args:
-        picture: the image.
+        source: the scan.
+        picture: its image.
         simulator: what predicts the means over its regions.
         fit: of the simulator to them.
         names: of the candidates.
+        rest: the image at rest where the simulator includes how it has moved.
         seed: of the draws of noise.
     """
+    if rest is not None:
+        return Imaged(rest, look(rest, simulator, names, seed=seed)), simulator
     voxels = Voxels.of(picture, simulator, fit)
-    return Imaged(voxels, look(voxels, simulator, names, seed=seed))
+    first = look(voxels, simulator, names, seed=seed)
+    rest = at_rest(source, voxels, simulator) if first.evident else None
+    if rest is None:
+        return Imaged(voxels, first), simulator
+    again = look(rest, simulator, names, seed=seed)
+    contrasted = replace(again.contrasted, p_value=first.contrasted.p_value)
+    return Imaged(rest, replace(again, contrasted=contrasted)), moving(simulator, rest)
 
 
 def weighed(found: Diagnosis, looked: Looked, *, seed: int) -> Diagnosis:

@@ -79,6 +79,17 @@ def _untold(hypothesis: Hypothesis) -> Hypothesis:
     return hypothesis
 
 
+def without(simulator: RegionalSimulator, names: frozenset[str]) -> RegionalSimulator:
+    """The simulator that does not include some effects."""
+    if not names & {effect.name for effect in simulator.includes}:
+        return simulator
+    return replace(
+        simulator,
+        includes=tuple(effect for effect in simulator.includes if effect.name not in names),
+        settings={name: each for name, each in simulator.settings.items() if name not in names},
+    )
+
+
 def settled(simulator: RegionalSimulator, values: Array, told: Told = _untold) -> RegionalSimulator:
     """The simulator with the likeliest settings of the effects that it includes.
 

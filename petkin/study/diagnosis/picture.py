@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, spline_filter
 
 from petkin.diagnosis import Fit, of_nuisance
-from petkin.imaging import background_rim
+from petkin.imaging import Leg, background_rim, origins
 from petkin.io import Regions, Series
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.voxel_noise import VoxelNoise, voxel_noise
 
 Array = NDArray[np.float64]
 
+#: Effects that move the picture: at once, by and by.
+STEP, DRIFT = "motion_step", "motion_drift"
 #: What lies outside the labels is looked at from so many mm away, where little spills over, to so many.
 _RIM_MM = (6.0, 18.0)
 #: Curves of the regions are mixtures of so many.
@@ -24,6 +28,54 @@ _RANK = 4
 BESIDE = 2
 #: A frame that holds less than this share of what is predicted is compared as it is.
 _FAINT = 0.3
+
+
+@dataclass(frozen=True)
+class Gone:
+    """A way that a picture has gone.
+
+    Args:
+        name: of the effect that it is.
+        way: of moving, as of `Motion`.
+        mm: how far, at most.
+        course: of what moves at once the share of every frame, of what drifts the part of its way (K,).
+        setting: of the effect.
+        beside: other ways that it goes as well, by mm for each mm of the first.
+        told: of every motion that was looked for, by name, its settings with their log evidence.
+    """
+
+    name: str
+    way: int
+    mm: float
+    course: Array
+    setting: Mapping[str, float] = field(default_factory=dict)
+    beside: tuple[Leg, ...] = ()
+    told: Mapping[str, Sequence[tuple[Mapping[str, float], float]]] = field(default_factory=dict)
+
+    def legs(self, part: float = 1.0) -> tuple[Leg, ...]:
+        """A part of it."""
+        return self.along(part * self.mm)
+
+    def along(self, mm: float) -> tuple[Leg, ...]:
+        """The same way, so far."""
+        return Leg(self.way, mm), *(Leg(leg.way, mm * leg.far) for leg in self.beside)
+
+    def back(self, part: float) -> tuple[Leg, ...]:
+        """What undoes a part of it."""
+        return tuple(Leg(leg.way, -leg.far) for leg in reversed(self.legs(part)))
+
+    def aside(self, way: int, share: float) -> Gone:
+        """The same, along another way as well."""
+        return replace(self, beside=(*self.beside, Leg(way, share)))
+
+    @property
+    def gradual(self) -> bool:
+        return self.name == DRIFT
+
+    @property
+    def most(self) -> float:
+        """No voxel has moved further, mm."""
+        return sum(abs(leg.far) for leg in self.legs())
 
 
 @dataclass(frozen=True)
@@ -52,8 +104,15 @@ class Picture:
     seen: Array
     grain: VoxelNoise
 
+    @cached_property
+    def splines(self) -> Array:
+        """The image as coefficients of cubic splines [M, x, y, z]."""
+        return np.stack([spline_filter(maps, mode="nearest") for maps in np.moveaxis(self.seen, -1, 0)])
 
-def read_picture(series: Series, regions: Regions, simulator: RegionalSimulator, fit: Fit) -> Picture:
+
+def read_picture(
+    series: Series, regions: Regions, simulator: RegionalSimulator, fit: Fit, gone: Gone | None = None
+) -> Picture:
     """The voxels of a segmentation and what surrounds them, reading the file once.
 
     Args:
@@ -61,19 +120,24 @@ def read_picture(series: Series, regions: Regions, simulator: RegionalSimulator,
         regions: on its grid.
         simulator: what predicts the regions' means.
         fit: its fit to them.
+        gone: a way that is undone first, where the picture is wanted as it would be at rest.
     """
     inside = regions.labels > 0
     size = tuple(float(edge) for edge in series.voxel_mm)
     near, far = (background_rim(regions.labels, reach, size) for reach in _RIM_MM)
     rim = far & ~near
-    box, spread = _around(inside), simulator.spread(np.maximum(fit.values, 0.0))
+    far = 0.0 if gone is None else gone.most
+    beside = [BESIDE + int(np.ceil(far / edge)) for edge in size]
+    box, spread = _around(inside, beside), simulator.spread(np.maximum(fit.values, 0.0))
     courses = np.linalg.svd(fit.values, full_matrices=False)[2][:_RANK]
     readers = _readers(courses, spread)
     curves = np.empty((series.count, int(inside.sum())), np.float32)
     seen = np.zeros((*inside[box].shape, len(courses)))
     within = around = 0.0
+    undone = None if gone is None else _Undone.of(gone, inside, box, size, beside)
     for k, raw in enumerate(series.frames()):
         frame = np.nan_to_num(raw, nan=0.0, posinf=0.0, neginf=0.0)
+        frame = frame if undone is None else undone(frame, k)
         curves[k] = frame[inside]
         seen += frame[box][..., None] * readers[:, k]
         weight = float(simulator.clock.frames.duration[k])
@@ -95,10 +159,57 @@ def read_picture(series: Series, regions: Regions, simulator: RegionalSimulator,
     )
 
 
-def _around(inside: NDArray[np.bool_]) -> tuple[slice, ...]:
-    """The box that holds a mask and the voxels beside it, within the grid."""
+@dataclass(frozen=True)
+class _Undone:
+    """Frames laid back where they would be at rest, in the box of a picture.
+
+    Args:
+        gone: what is undone.
+        labelled: mask of what moves, in the wide box.
+        box: what is laid back.
+        wide: the box with as much beside it as comes in.
+        at: places of the box in the wide one (3, n).
+        size: voxel edges, mm.
+    """
+
+    gone: Gone
+    labelled: NDArray[np.bool_]
+    box: tuple[slice, ...]
+    wide: tuple[slice, ...]
+    at: Array
+    size: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls,
+        gone: Gone,
+        labelled: NDArray[np.bool_],
+        box: tuple[slice, ...],
+        size: tuple[float, ...],
+        more: Sequence[int],
+    ) -> _Undone:
+        wide = tuple(slice(max(each.start - m, 0), each.stop + m) for each, m in zip(box, more, strict=True))
+        inner = [each.start - around.start for each, around in zip(box, wide, strict=True)]
+        at = np.indices(labelled[box].shape, float).reshape(3, -1) + np.array(inner, float)[:, None]
+        return cls(gone, labelled[wide], box, wide, at, size)
+
+    def __call__(self, frame: NDArray[np.float32], k: int) -> NDArray[np.float32]:
+        """Frame k; where what moves at once does so during it, it is where it is for longer."""
+        part = float(self.gone.course[k])
+        part = part if self.gone.gradual else float(part >= 0.5)
+        if part == 0.0:
+            return frame
+        laid = frame.copy()
+        went = origins(self.at, self.gone.back(part), self.size, self.labelled)
+        there = map_coordinates(frame[self.wide], went, mode="constant")
+        laid[self.box] = there.reshape(laid[self.box].shape)
+        return laid
+
+
+def _around(inside: NDArray[np.bool_], beside: Sequence[int]) -> tuple[slice, ...]:
+    """The box that holds a mask and so many voxels beside it, within the grid."""
     places = [np.flatnonzero(inside.any(axis=tuple(a for a in range(3) if a != axis))) for axis in range(3)]
-    return tuple(slice(max(int(at[0]) - BESIDE, 0), int(at[-1]) + BESIDE + 1) for at in places)
+    return tuple(slice(max(int(at[0]) - n, 0), int(at[-1]) + n + 1) for at, n in zip(places, beside, strict=True))
 
 
 def _readers(courses: Array, spread: Array) -> Array:
@@ -118,6 +229,8 @@ class Voxels:
         sensitivity: derivatives of the weighted regional curves by their own parameters (R, K, P).
         drawn: the labelled voxels as labels and a point spread have them, in mixtures of courses (N, M); None before
             the width is known.
+        expected: means of the regions (R, K), where they are not those of the fit.
+        gone: a way that the picture has gone, which is seen, and fitted, as it would be at rest.
     """
 
     picture: Picture
@@ -125,6 +238,8 @@ class Voxels:
     spread: Array
     sensitivity: Array
     drawn: Array | None = None
+    expected: Array | None = None
+    gone: Gone | None = None
 
     @classmethod
     def of(cls, picture: Picture, simulator: RegionalSimulator, fit: Fit) -> Voxels:
@@ -156,15 +271,20 @@ class Voxels:
     @cached_property
     def _common(self) -> Array:
         """Factor of a whole frame (K,): what all regions have in common, and no contrast should see."""
-        weight = np.bincount(self.place, minlength=len(self.fit.values))[:, None] * self.fit.values / self.spread**2
-        found = (weight * self._means).sum(axis=0) / np.maximum((weight * self.fit.values).sum(axis=0), 1e-300)
+        expected = self.fit.values if self.expected is None else self.expected
+        weight = np.bincount(self.place, minlength=len(expected))[:, None] * expected / self.spread**2
+        found = (weight * self.means).sum(axis=0) / np.maximum((weight * expected).sum(axis=0), 1e-300)
         return np.where(found > _FAINT, found, 1.0)
 
     @cached_property
-    def _means(self) -> Array:
-        """Means of the regions (R, K)."""
+    def means(self) -> Array:
+        """Of the regions (R, K)."""
+        return self.mean_over(self.picture.curves.T)
+
+    def mean_over(self, columns: Array | NDArray[np.float32]) -> Array:
+        """Means of columns (N, M) over each region (R, M)."""
         number = np.bincount(self.place, minlength=len(self.fit.values))
-        return self.over_regions(self.picture.curves.T) / np.maximum(number, 1)[:, None]
+        return self.over_regions(columns) / np.maximum(number, 1)[:, None]
 
     def sums(self, weights: Array) -> Array:
         """Weighted sums over each region (R, K), of weights that sum to zero there."""
@@ -220,8 +340,7 @@ class Voxels:
 
     def apart(self, columns: Array) -> Array:
         """Columns (N, M) less their means over the region."""
-        number = np.maximum(np.bincount(self.place, minlength=len(self.fit.values)), 1)
-        return columns - (self.over_regions(columns) / number[:, None])[self.place]
+        return columns - self.mean_over(columns)[self.place]
 
     def framed(self, weights: Array, maps: Array, courses: Array) -> Array:
         """sum_v w_v m_v(k) / s_r(k) by region (R, K), of maps (N, M) that follow courses (M, K)."""

@@ -67,6 +67,7 @@ class RegionalSimulator:
         grain: the noise by region and frame, relative to that law, where voxels show it (R, K).
         errors: standard deviations of C_P relative to itself, at the nodes, one after another (m, T).
         moves: what motion adds to regions, where an image tells; see `Camera`.
+        misplaced: where they have evidently moved far, standard deviations of what that adds to each (R, K).
         settings: of included effects by name, parameters beside the amplitude, which are not refitted, each a number or
             one a region; starts of the catalogue for the rest.
         seen: of included effects by name, how large an image shows them to be.
@@ -84,6 +85,7 @@ class RegionalSimulator:
     grain: Array | None = None
     errors: Array = field(default_factory=lambda: np.zeros((0, 1)))
     moves: Exchange | None = None
+    misplaced: Array | None = None
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     seen: Mapping[str, Estimate] = field(default_factory=dict)
     _kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -222,8 +224,11 @@ class RegionalSimulator:
         return self._departing(own, shared, courses(self.nodes) * np.sqrt(np.maximum(plasma * mean, 0.0)))
 
     def unsure(self, own: Array, shared: Array) -> Array:
-        """C_P errs as its record does."""
-        return self._departing(own, shared, self.errors * np.asarray(self.input.plasma(self.nodes)))
+        """C_P errs as its record does; what motion adds, in every region for itself."""
+        found = self._departing(own, shared, self.errors * np.asarray(self.input.plasma(self.nodes)))
+        if self.misplaced is None:
+            return found
+        return np.concatenate([found, np.eye(len(self.misplaced))[:, :, None] * self.misplaced])
 
     def _departing(self, own: Array, shared: Array, departures: Array) -> Array:
         """What regions gain where C_P departs so (n, nodes)."""

@@ -5,22 +5,26 @@ Maps follow the picture's courses: [N, M] by voxel and course.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
-from petkin.imaging import PLANES, FrameSchedule, middle_and_rim
-from petkin.study.diagnosis.picture import BESIDE, Voxels
+from petkin.imaging import PLANES, FrameSchedule, Leg, middle_and_rim, origins
+from petkin.study.diagnosis.picture import BESIDE, DRIFT, STEP, Picture, Voxels
 
 Array = NDArray[np.float64]
 
 #: Effects that move the picture, and that change it by gains.
-MOTIONS, GAINS = ("motion_step", "motion_drift"), ("attenuation_mismatch",)
+MOTIONS, GAINS = (STEP, DRIFT), ("attenuation_mismatch",)
 #: Priors: mm of motion, relative gain at the edge of the head.
 MOTION_MM, GAIN = 10.0, 0.2
+#: Shares of a long way at which what it adds is drawn.
+PARTS = (0.25, 0.5, 0.75, 1.0)
 #: When a drift begins and ends, as shares of the scan; the first is the whole of it.
 _DRIFTS = ((0.0, 1.0), (0.0, 1 / 3), (0.0, 2 / 3), (1 / 3, 2 / 3), (1 / 3, 1.0), (2 / 3, 1.0))
 
@@ -29,6 +33,13 @@ def drifts(frames: FrameSchedule) -> list[Array]:
     """Courses (K,) that a drift may have over the frames, that over the whole scan first."""
     passed = frames.mid / frames.end[-1]
     return [np.clip((passed - begins) / (ends - begins), 0.0, 1.0) for begins, ends in _DRIFTS]
+
+
+def laid(picture: Picture, legs: Sequence[Leg]) -> Array:
+    """The labelled voxels as mixtures of courses where the picture has moved so (N, M)."""
+    labelled = picture.inside[picture.box]
+    came = origins(np.argwhere(labelled).T.astype(np.float64), legs, picture.size, labelled)
+    return np.stack([map_coordinates(maps, came, mode="nearest", prefilter=False) for maps in picture.splines], axis=1)
 
 
 @dataclass(frozen=True)
@@ -46,11 +57,35 @@ class Scene:
     def motions(self) -> dict[int, Array]:
         """What a millimetre of motion adds, by way of moving.
 
-        dx = - u . grad x
+        dx = - u . grad x,   or (x moved by all of a long way - x) / its mm
         """
         along = {axis: -slope for axis, slope in self._slopes.items()}
         turned = {3 + n: self._turn(plane) for n, plane in enumerate(PLANES) if set(plane) <= set(self.axes)}
-        return along | turned
+        gone = {} if self.voxels.gone is None else {self.voxels.gone.way: self._parts[-1]}
+        return along | turned | gone
+
+    def parts(self, name: str, way: int) -> list[Array]:
+        """Maps that together, each with its course, are what a millimetre adds of a motion."""
+        return self._parts if self._gradual(name, way) else [self.motions[way]]
+
+    def courses(self, name: str, way: int, course: Array) -> list[Array]:
+        """The courses (K,) of those maps, where that of the motion goes from 0 to 1: of a step the share of every
+        frame, of a drift the part of its way."""
+        if not self._gradual(name, way):
+            return [course]
+        return [np.interp(course, (0.0, *PARTS), hat) for hat in np.eye(1 + len(PARTS))[1:]]
+
+    def _gradual(self, name: str, way: int) -> bool:
+        """Whether a motion goes a long way by and by."""
+        gone = self.voxels.gone
+        return name == DRIFT and gone is not None and way == gone.way
+
+    @cached_property
+    def _parts(self) -> list[Array]:
+        """What parts of a long way add, by its mm."""
+        gone, seen, picture = self.voxels.gone, self.voxels.seen, self.voxels.picture
+        assert gone is not None
+        return [(laid(picture, gone.legs(part)) - seen) / gone.mm for part in PARTS]
 
     @cached_property
     def bends(self) -> list[Array]:

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Voxels that tell what an image holds of included effects.
 _TOLD_BY = 4000
+#: Share of a long way that the picture may seem to drift besides, since no two pictures are alike.
+_INEXACT = 0.05
 
 
 def spatial(simulator: RegionalSimulator) -> tuple[Effect, ...]:
@@ -118,9 +120,12 @@ def _parts(effect: Effect, scene: Scene, simulator: RegionalSimulator) -> list[_
     if not len(courses):
         return []
     if effect.name in MOTIONS:
+        gone = scene.voxels.gone
+        inexact = 0.0 if gone is None else _INEXACT * gone.most
         return [
             _Part(scene.motions.values, MOTION_MM * courses),
             _Part(lambda: scene.bends, 0.5 * MOTION_MM**2 * courses**2),
+            _Part(scene.motions.values, inexact * np.stack(drifts(simulator.clock.frames))),
         ]
     tilts = _Part(lambda: (scene.tilt(axis) for axis in scene.axes), GAIN * courses)
     voxels = scene.voxels

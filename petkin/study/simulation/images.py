@@ -22,21 +22,23 @@ def image_frames(plan: Plan, scene: Scene) -> Iterator[Float[NDArray, "x y z"]]:
     size, camera = plan.painted.voxel_size, scene.truth.imaging
     motions = [motion(clock) for motion in camera.motions]
     for k, sharp in enumerate(_sharp_frames(plan, scene)):
-        frame = blur(_as_it_lies(plan, sharp, motions, k), camera.point_spread, size)
+        frame = _as_it_lies(plan, blur(sharp, camera.point_spread, size), motions, k, camera.point_spread > 0)
         if noise.percent > 0:
             frame = frame + scale[k] * noise.of_values(frame) * (common[k] + noise.voxel_part(rng, frame.shape, size))
         yield frame
 
 
-def _as_it_lies(plan: Plan, sharp: Float[NDArray, "x y z"], motions: list[Motion], k: int) -> Float[NDArray, "x y z"]:
+def _as_it_lies(
+    plan: Plan, frame: Float[NDArray, "x y z"], motions: list[Motion], k: int, blurred: bool
+) -> Float[NDArray, "x y z"]:
     """A frame of a head that may have moved, before or within it."""
     painted = plan.painted
     for motion in motions:
         far, share = float(motion.far[k]), float(motion.share[k])
         if far and share:
-            there = moved(sharp, motion.way, far, painted.voxel_size, painted.mask)
-            sharp = (1.0 - share) * sharp + share * there
-    return sharp
+            there = moved(frame, motion.way, far, painted.voxel_size, painted.mask, blurred=blurred)
+            frame = (1.0 - share) * frame + share * there
+    return frame
 
 
 def _sharp_frames(plan: Plan, scene: Scene) -> Iterator[Float[NDArray, "x y z"]]:

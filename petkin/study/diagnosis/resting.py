@@ -1,0 +1,62 @@
+"""The picture behind regional curves, and as it would be had it not moved far.
+
+What moves far is no slope of the picture any more, and a picture of all frames is one of both places. So the motion is
+found first, by laying what labels and fits predict onto every frame; the file is read again with each frame laid back;
+regions are fitted as they are then; and so on, each time with what the last one told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from petkin.diagnosis import Fit, base_fit
+from petkin.io import read_regions
+from petkin.study.diagnosis.including import without
+from petkin.study.diagnosis.picture import Gone, Picture, Voxels, read_picture
+from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.registration import registered
+from petkin.study.diagnosis.scene import GAINS, MOTIONS
+from petkin.study.diagnosis.spatial import drawn_of
+from petkin.study.sources import Source
+
+#: How often the image is read again.
+_ROUNDS = 3
+
+
+def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit, gone: Gone | None = None) -> Picture | None:
+    """The image behind a scan's regional curves; None where those are all there is.
+
+    Args:
+        source: the scan.
+        simulator: what predicts the means over the regions of its segmentation.
+        fit: of the simulator to them.
+        gone: a way that is undone first, where the picture is wanted as it would be at rest.
+    """
+    if source.image is None or source.dseg is None or source.curves is not None:
+        return None
+    return read_picture(source.image, read_regions(source.dseg, source.image), simulator, fit, gone)
+
+
+def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Voxels | None:
+    """The picture as it would be at rest, of voxels with the curves that were recorded; None where it has not gone far.
+
+    Args:
+        source: the scan.
+        voxels: of its segmentation, as they are.
+        simulator: what predicts the means over its regions.
+    """
+    bare, still, gone = without(simulator, frozenset(MOTIONS + GAINS)), voxels, None
+    for _ in range(_ROUNDS):
+        found = registered(_recorded(still, voxels), drawn_of(still), simulator.clock)
+        picture = None if found is None else picture_of(source, bare, still.fit, found)
+        if picture is None:
+            break
+        gone = found
+        fit, *_ = base_fit(bare, Voxels.of(picture, bare, still.fit).means)
+        still = Voxels.of(picture, bare, fit)
+    return None if gone is None else replace(_recorded(still, voxels), gone=gone)
+
+
+def _recorded(still: Voxels, voxels: Voxels) -> Voxels:
+    """A picture at rest with the curves of its voxels as they were recorded."""
+    return replace(still, picture=replace(still.picture, curves=voxels.picture.curves, grain=voxels.picture.grain))

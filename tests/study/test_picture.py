@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,11 +10,13 @@ import numpy as np
 import pytest
 
 from petkin.diagnosis import Family, holding
-from petkin.imaging import PLANES, FrameSchedule, Motion, blur, middle_and_rim, origin
+from petkin.imaging import FrameSchedule, Leg, Motion
 from petkin.study.diagnosis.picture import Picture, Voxels
 from petkin.study.diagnosis.scene import Scene, _slope, drifts
 from petkin.study.diagnosis.spatial import _contrasts, _Predicted, moves
 from petkin.study.diagnosis.voxel_noise import VoxelNoise
+
+from .moving_boxes import ALIKE, APART, blurred_regions, photographed
 
 REGIONS, FRAMES, EACH = 3, 8, 30
 EDGE, FINER = 2.0, 4
@@ -137,61 +138,15 @@ def test_a_turn_changes_the_image_as_its_contrast_says() -> None:
     assert contrast.axis == 3
 
 
-T = np.arange(FRAMES)
-ALIKE = np.stack([a * np.exp(-T / b) for a, b in ((10.0, 4.0), (20.0, 9.0), (35.0, 20.0))])
-APART = np.stack([20.0 * np.exp(-T / 2.0), 8.0 * (T + 1) * np.exp(-T / 3.0), 30.0 * (1.0 - np.exp(-(T + 1) / 6.0))])
-
-
-def boxes() -> np.ndarray:
-    """Labels of three boxes side by side and above one another."""
-    labels = np.zeros((16, 16, 16), np.intp)
-    labels[4:8, 4:12, 4:12], labels[8:12, 4:12, 4:8], labels[8:12, 4:12, 8:12] = 1, 2, 3
-    return labels
-
-
-@cache
-def photographed(way: int = 0, far: float = 0.0) -> np.ndarray:
-    """The boxes moved, through a point spread, and averaged over voxels [x, y, z, K], all of it on a finer grid, where
-    every point has the label of the place that it came from."""
-    labels = boxes()
-    fine = labels.repeat(FINER, 0).repeat(FINER, 1).repeat(FINER, 2)
-    edge = EDGE / FINER
-    if way > 2:  # the same angle: the middles of finer voxels lie nearer to the rim
-        plane = PLANES[way - 3]
-        far *= middle_and_rim(fine > 0, plane, np.full(3, edge))[1] / rim_of(labels > 0, plane)
-    came = origin(np.indices(fine.shape, float).reshape(3, -1), way, far, (edge,) * 3, fine > 0)
-    there = fine[tuple(np.clip(np.rint(came), 0, len(fine) - 1).astype(np.intp))].reshape(fine.shape)
-    seen = [blur((there == r).astype(float), 8.0, (edge,) * 3) for r in range(1, 4)]
-    maps = np.stack([each.reshape(16, FINER, 16, FINER, 16, FINER).mean(axis=(1, 3, 5)) for each in seen], axis=-1)
-    return np.asarray(maps @ APART)
-
-
-def rim_of(labelled: np.ndarray, plane: tuple[int, int]) -> float:
-    return middle_and_rim(labelled, plane, np.full(3, EDGE))[1]
-
-
-def blurred_regions(levels: np.ndarray, image: np.ndarray | None = None) -> tuple[Voxels, np.ndarray]:
-    """Three boxes, each with a curve of its own, through a point spread; and the picture frame by frame."""
-    labels = boxes()
-    inside, courses = labels > 0, np.linalg.svd(levels, full_matrices=False)[2]
-    if image is None:
-        image = blur(np.concatenate([np.zeros((1, FRAMES)), levels])[labels], 8.0, (EDGE,) * 3)
-    means = np.stack([image[labels == r + 1].mean(axis=0) for r in range(3)])
-    grain = VoxelNoise(np.ones(FRAMES), np.ones((1, 1, 1)), labels)
-    curves = image[inside].T.astype(np.float32)
-    box, seen = (slice(None),) * 3, image @ courses.T
-    picture = Picture(curves, labels[inside] - 1, inside, box, (EDGE,) * 3, 0.0, courses, seen, grain)
-    fit: Any = SimpleNamespace(values=means)
-    return Voxels(picture, fit, np.ones_like(levels), np.zeros((REGIONS, FRAMES, 2))), image
-
-
 @pytest.mark.parametrize("way", range(6))
 @pytest.mark.parametrize(("far", "within"), [(4.0, 0.1), (-1.5, 0.15), (0.0, 0.0), (2.5, 0.05), (-7.0, 0.05)])
 def test_what_motion_adds_to_regions_is_what_a_moved_picture_shows(way: int, far: float, within: float) -> None:
     """Nearly, also between the ways that are tried; in half of a frame half of it."""
     voxels, image = blurred_regions(APART, photographed())
     inside, means = voxels.inside, voxels.fit.values
-    expected = np.stack([(photographed(way, far) - image)[inside][voxels.place == r].mean(axis=0) for r in range(3)])
+    expected = np.stack(
+        [(photographed(Leg(way, far)) - image)[inside][voxels.place == r].mean(axis=0) for r in range(3)]
+    )
     motion = Motion(way, np.full(FRAMES, far), np.linspace(0.0, 1.0, FRAMES))
     found = np.einsum("krs,sk->rk", moves(voxels).by(motion), means)
     largest = np.abs(expected).max()

@@ -38,8 +38,6 @@ _WIDTHS, _TYPICAL = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0), 6.0
 #: How far regions are seen to move, mm. A mixture of their curves that is weaker than this share of the strongest tells
 #: nothing of what motion brings.
 _FAR_MM, _TOLD = (-20.0, -15.0, -10.0, -4.0, -1.5, 0.0, 1.5, 4.0, 10.0, 15.0, 20.0), 0.01
-#: No picture is drawn sharper than this to be laid onto others: voxels blur it by as much.
-_SHARPEST = 4.0
 #: A way is laid onto frames to within so many mm (90 %).
 _LAID_MM = 1.0
 #: Contrasts whose way differs from it by more than this in its logarithm tell another one.
@@ -251,10 +249,10 @@ def _less(voxels: Voxels, maps: Array, course: Array) -> Voxels:
 
 
 def drawn_of(voxels: Voxels) -> Array:
-    """The picture as labels, the regions' fits and a point spread as wide as it shows have it [x, y, z, M]."""
-    predicted = _Predicted.of(voxels)
-    blurring, patterns = predicted.blurred()
-    return predicted.seen(max(predicted.width(voxels.sums(blurring.weights), patterns), _SHARPEST))
+    """The picture as labels, the regions' fits and the point spread that it looks most like have it [x, y, z, M]."""
+    predicted, total = _Predicted.of(voxels), voxels.total(voxels.seen)
+    drawn = (predicted.seen(width) for width in _WIDTHS)
+    return min(drawn, key=lambda maps: float(((voxels.total(maps[voxels.inside]) - total) ** 2).sum()))
 
 
 def moves(voxels: Voxels) -> Exchange:

@@ -141,6 +141,21 @@ def test_behind_included_motion_another_gap_of_the_image_is_seen(tmp_path: Path)
     assert one.answer["where"]["state"][0]["evidence"] > 10.0
 
 
+def test_a_long_way_is_named_and_is_no_gap_once_included(tmp_path: Path) -> None:
+    """Two voxels and more: slopes of a picture of both places tell neither how far nor what that adds to regions."""
+    study = spoilt(tmp_path, moved_mm=(9.0, 0.0, 0.0))
+    answer = diagnosed(study, tmp_path / "out").answer
+    assert answer["verdict"]["set"] == ["motion_step"]
+    estimate = answer["causes"][0]["estimate"]
+    assert estimate["amplitude"]["value"] == pytest.approx(9.0, abs=1.0)
+    assert estimate["onset_min"]["value"] == pytest.approx(ONSET_MIN, abs=1.0)
+    assert estimate["axis"]["value"] == 0
+    (one,) = diagnose_study(DiagnoseRequest(study, out=tmp_path / "in", include=(*INCLUDES, "motion_step")))
+    assert one.answer["verdict"]["kind"] == "none"
+    moved = next(e for e in one.answer["simulator"]["fitted"] if (e["effect"], e["symbol"]) == ("motion_step", "moved"))
+    assert moved["value"] == pytest.approx(9.0, abs=1.0)
+
+
 def test_blur_is_named_with_its_width(tmp_path: Path) -> None:
     answer = diagnosed(spoilt(tmp_path, fwhm=8.0), tmp_path / "out").answer
     assert "partial_volume" in answer["verdict"]["set"][0]

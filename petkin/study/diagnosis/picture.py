@@ -68,6 +68,17 @@ class Gone:
         """The same, along another way as well."""
         return replace(self, beside=(*self.beside, Leg(way, share)))
 
+    def is_that(self, other: Gone | None) -> bool:
+        """Whether another is the same way."""
+        if other is None or (self.name, self.way, self.mm, self.beside) != (
+            other.name,
+            other.way,
+            other.mm,
+            other.beside,
+        ):
+            return False
+        return bool(np.array_equal(self.course, other.course))
+
     @property
     def gradual(self) -> bool:
         return self.name == DRIFT

@@ -19,7 +19,7 @@ from petkin.study.diagnosis.scene import GAINS, MOTIONS
 from petkin.study.diagnosis.spatial import drawn_of
 from petkin.study.sources import Source
 
-#: How often the image is read again.
+#: How often the image is read again, where the way found is not that of the last time.
 _ROUNDS = 3
 
 
@@ -48,7 +48,9 @@ def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Vox
     bare, still, gone = without(simulator, frozenset(MOTIONS + GAINS)), voxels, None
     for _ in range(_ROUNDS):
         found = registered(_recorded(still, voxels), drawn_of(still), simulator.clock)
-        picture = None if found is None else picture_of(source, bare, still.fit, found)
+        if found is None or found.is_that(gone):
+            break
+        picture = picture_of(source, bare, still.fit, found)
         if picture is None:
             break
         gone = found

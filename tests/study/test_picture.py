@@ -11,9 +11,11 @@ import pytest
 
 from petkin.diagnosis import Family, holding
 from petkin.imaging import FrameSchedule, Leg, Motion
+from petkin.study.diagnosis.drawing import Predicted
+from petkin.study.diagnosis.moving import moves
 from petkin.study.diagnosis.picture import Picture, Voxels
 from petkin.study.diagnosis.scene import Scene, _slope, drifts
-from petkin.study.diagnosis.spatial import _contrasts, _Predicted, moves
+from petkin.study.diagnosis.spatial import _contrasts
 from petkin.study.diagnosis.voxel_noise import VoxelNoise
 
 from .moving_boxes import ALIKE, APART, blurred_regions, photographed
@@ -167,7 +169,7 @@ def still() -> Voxels:
     """Those regions with what is drawn from their labels."""
     voxels, _ = blurred_regions(ALIKE)
     voxels.__dict__["_common"] = np.ones(FRAMES)
-    return replace(voxels, drawn=_Predicted.of(voxels).seen(8.0)[voxels.inside])
+    return replace(voxels, drawn=Predicted.of(voxels).seen(8.0)[voxels.inside])
 
 
 def test_a_still_picture_behind_a_point_spread_is_the_one_drawn_from_its_labels() -> None:

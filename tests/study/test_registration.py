@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from petkin.imaging import FrameObservation, FrameSchedule, Leg, origins
-from petkin.study.diagnosis.picture import DRIFT, STEP, Gone, Voxels, _Undone
+from petkin.study.diagnosis.drawing import drawn_of
+from petkin.study.diagnosis.gone import DRIFT, STEP, Gone, Undone
+from petkin.study.diagnosis.moving import apart
+from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.registration import registered
-from petkin.study.diagnosis.spatial import _apart, drawn_of
 
 from .moving_boxes import APART, EDGE, FRAMES, blurred_regions, boxes, photographed
 
@@ -97,7 +99,7 @@ def test_a_frame_is_laid_back_where_it_was() -> None:
     labelled, box = boxes() > 0, (slice(3, 13),) * 3
     gone = Gone(STEP, 1, 5.0, np.array([0.0, 0.4, 0.6, 1.0]), beside=(Leg(0, 0.5),))
     rest, moved = (photographed(*legs)[..., 3].astype(np.float32) for legs in ((), gone.legs()))
-    undone = _Undone.of(gone, labelled, box, SIZE, (4, 4, 4))
+    undone = Undone.of(gone, labelled, box, SIZE, (4, 4, 4))
     assert undone(moved, 0) is moved
     assert undone(moved, 1) is moved
     for k in (2, 3):
@@ -115,7 +117,7 @@ def test_voxels_less_what_a_long_way_adds_are_those_at_rest(name: str) -> None:
     voxels, image = blurred_regions(APART, photographed())
     curves = np.stack(every)[:, voxels.inside].astype(np.float32)
     voxels = replace(voxels, picture=replace(voxels.picture, curves=curves), gone=gone)
-    moving, still = _apart(voxels, gone)
+    moving, still = apart(voxels, gone)
     rest = image[voxels.inside]
     left = np.abs(still.picture.curves.T - rest)
     assert left.max() < 0.12 * np.abs(curves.T - rest).max()

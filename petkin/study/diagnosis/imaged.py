@@ -23,11 +23,12 @@ from petkin.diagnosis import (
     smallest_set,
 )
 from petkin.study.diagnosis.including import in_picture, without
+from petkin.study.diagnosis.moving import moving
 from petkin.study.diagnosis.picture import Picture, Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.resting import at_rest
 from petkin.study.diagnosis.scene import GAINS, MOTIONS
-from petkin.study.diagnosis.spatial import Looked, look, moving
+from petkin.study.diagnosis.spatial import Looked, look
 from petkin.study.diagnosis.standing import spatial
 from petkin.study.sources import Source
 

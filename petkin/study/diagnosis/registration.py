@@ -23,8 +23,9 @@ from scipy.ndimage import map_coordinates
 
 from petkin.effects.imaging import after
 from petkin.imaging import FrameObservation, Leg, origins
+from petkin.study.diagnosis.gone import DRIFT, STEP, Gone
 from petkin.study.diagnosis.onsets import onsets
-from petkin.study.diagnosis.picture import DRIFT, STEP, Gone, Voxels
+from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.scene import Scene, drifts
 
 Array = NDArray[np.float64]

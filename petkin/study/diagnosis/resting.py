@@ -11,12 +11,13 @@ from dataclasses import replace
 
 from petkin.diagnosis import Fit, base_fit
 from petkin.io import read_regions
+from petkin.study.diagnosis.drawing import drawn_of
+from petkin.study.diagnosis.gone import Gone
 from petkin.study.diagnosis.including import without
-from petkin.study.diagnosis.picture import Gone, Picture, Voxels, read_picture
+from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.registration import registered
 from petkin.study.diagnosis.scene import GAINS, MOTIONS
-from petkin.study.diagnosis.spatial import drawn_of
 from petkin.study.sources import Source
 
 #: How often the image is read again, where the way found is not that of the last time.

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from petkin.imaging import PLANES, FrameSchedule, Leg, middle_and_rim, origins
-from petkin.study.diagnosis.picture import BESIDE, DRIFT, STEP, Picture, Voxels
+from petkin.study.diagnosis.gone import DRIFT, STEP
+from petkin.study.diagnosis.picture import BESIDE, Picture, Voxels
 
 Array = NDArray[np.float64]
 

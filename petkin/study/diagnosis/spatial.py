@@ -15,37 +15,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from petkin.diagnosis import WITHIN, Contrasted, Family, Hypothesis, Pattern, Sighting, holding, judge_contrasts
 from petkin.effects.imaging import after
-from petkin.imaging import WAYS, Exchange, Leg, blur
+from petkin.study.diagnosis.drawing import Predicted
 from petkin.study.diagnosis.fields import Maps, departures
+from petkin.study.diagnosis.gone import Gone
+from petkin.study.diagnosis.moving import apart, less
 from petkin.study.diagnosis.onsets import onsets
-from petkin.study.diagnosis.picture import Gone, Voxels
+from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.scene import GAIN, GAINS, MOTION_MM, MOTIONS, PARTS, Scene, drifts, laid
+from petkin.study.diagnosis.scene import GAIN, GAINS, MOTION_MM, MOTIONS, Scene, drifts
 from petkin.study.diagnosis.standing import Standing
 from petkin.study.diagnosis.variation import Variation, Weighed
 
 Array = NDArray[np.float64]
 
-#: FWHM tried, mm, and the one whose picture weighs the voxels.
-_WIDTHS, _TYPICAL = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 14.0), 6.0
-#: How far regions are seen to move, mm. A mixture of their curves that is weaker than this share of the strongest tells
-#: nothing of what motion brings.
-_FAR_MM, _TOLD = (-20.0, -15.0, -10.0, -4.0, -1.5, 0.0, 1.5, 4.0, 10.0, 15.0, 20.0), 0.01
 #: A way is laid onto frames to within so many mm (90 %).
 _LAID_MM = 1.0
 #: Contrasts whose way differs from it by more than this in its logarithm tell another one.
 _ANOTHER, _HARDLY = 0.3, 1e-3
-#: Share of what a long way adds to regions by which it errs: of 24 scans that moved by 4 to 20 mm.
-_MISPLACED = 0.05
-#: Rounds in which the sharp image is found.
-_SHARPENED = 8
 #: How many times the likeliest share of mixtures of the regions' curves a contrast holds, as few rows tell it: of 142
 #: training images of noise 0.28 then have a p-value below 0.25, 0.39 with the likeliest.
 _TIMES = 1.6
@@ -132,13 +124,7 @@ def _said(found: Sequence[tuple[Mapping[str, float], float]], setting: Mapping[s
     return float(np.interp(setting.get("onset", 0.0), times, logs))
 
 
-def look(
-    voxels: Voxels,
-    simulator: RegionalSimulator,
-    names: frozenset[str],
-    *,
-    seed: int,
-) -> Looked:
+def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *, seed: int) -> Looked:
     """Contrasts of an image against every spatial effect that may be missing, and gaps of no name.
 
     What moves makes kinetics seem to vary, which hides it. Where an effect is evident, contrasts are asked again with
@@ -151,9 +137,9 @@ def look(
         names: of the candidates; of an effect that it includes no more is looked for.
         seed: of the draws of noise.
     """
-    predicted, standing = _Predicted.of(voxels), Standing.of(voxels, simulator)
+    predicted, standing = Predicted.of(voxels), Standing.of(voxels, simulator)
     blurring, patterns = predicted.blurred()
-    voxels, still = (voxels, voxels) if voxels.gone is None else _apart(voxels, voxels.gone)
+    voxels, still = (voxels, voxels) if voxels.gone is None else apart(voxels, voxels.gone)
     sums = still.sums(blurring.weights)
     width = predicted.width(sums, patterns)
     drawn = predicted.seen(width)[voxels.inside]
@@ -185,7 +171,7 @@ def look(
         return Looked(first, width)
     best = timed[leader]
     maps = next(contrast.maps for contrast in contrasts if contrast.family == best.pattern.family)
-    again = asked(_less(scene.voxels, maps, best.value * np.asarray(best.pattern.course)))
+    again = asked(less(scene.voxels, maps, best.value * np.asarray(best.pattern.course)))
     return Looked(replace(again, p_value=first.p_value), width)
 
 
@@ -224,59 +210,6 @@ def _sighted(voxels: Voxels, simulator: RegionalSimulator) -> dict[str, Sighting
     return {gone.name: Sighting(state.own, state.shared, gone.mm, gone.setting)} if gone is not None and same else {}
 
 
-def _apart(voxels: Voxels, gone: Gone) -> tuple[Voxels, Voxels]:
-    """Voxels that are expected to move, and the same less what that adds."""
-    still, scene, name, way = voxels, Scene(voxels), gone.name, gone.way
-    for maps, course in zip(scene.parts(name, way), scene.courses(name, way, gone.course), strict=True):
-        still = _less(still, maps, gone.mm * course)
-    return replace(voxels, expected=voxels.fit.values + voxels.means - still.means), still
-
-
-def moving(simulator: RegionalSimulator, voxels: Voxels) -> RegionalSimulator:
-    """The simulator that knows what motion adds to regions, and how well a way that they have gone tells it."""
-    simulator = replace(simulator, moves=moves(voxels))
-    if voxels.gone is None:
-        return simulator
-    expected, _ = _apart(voxels, voxels.gone)
-    assert expected.expected is not None
-    return replace(simulator, misplaced=_MISPLACED * (expected.expected - voxels.fit.values))
-
-
-def _less(voxels: Voxels, maps: Array, course: Array) -> Voxels:
-    """Voxels less maps (N, M) that follow the courses and one of their own (K,)."""
-    curves = voxels.picture.curves - (maps @ (voxels.picture.courses * course)).T.astype(np.float32)
-    return replace(voxels, picture=replace(voxels.picture, curves=curves))
-
-
-def drawn_of(voxels: Voxels) -> Array:
-    """The picture as labels, the regions' fits and the point spread that it looks most like have it [x, y, z, M]."""
-    predicted, total = _Predicted.of(voxels), voxels.total(voxels.seen)
-    drawn = (predicted.seen(width) for width in _WIDTHS)
-    return min(drawn, key=lambda maps: float(((voxels.total(maps[voxels.inside]) - total) ** 2).sum()))
-
-
-def moves(voxels: Voxels) -> Exchange:
-    """What motion adds to regions, as the picture tells; along a way that it has gone, with what it goes beside it.
-
-        mean over region r of x as it has moved, less x = sum_s D_rs x_s
-
-    D has no more in it than the curves of the regions tell apart.
-    """
-    picture, seen, gone = voxels.picture, voxels.seen, voxels.gone
-    tried = np.unique([*_FAR_MM, *(() if gone is None else gone.mm * np.array(PARTS))])
-    shares = np.linalg.pinv(voxels.fit.values @ picture.courses.T, rcond=_TOLD)
-    count = len(voxels.fit.values)
-    found = np.zeros((WAYS, len(tried), count, count))
-    for way, (n, far) in product(Scene(voxels).motions, enumerate(tried)):
-        legs = gone.along(far) if gone is not None and gone.way == way else (Leg(way, far),)
-        found[way, n] = voxels.mean_over(laid(picture, legs) - seen) @ shares
-    return Exchange(tried, found)
-
-
-def _through(maps: Array, width: float, size: tuple[float, ...]) -> Array:
-    return np.asarray(blur(maps, width, size), np.float64)
-
-
 @dataclass(frozen=True)
 class _Contrast(Weighed):
     """A contrast along or about an axis and what it looks for: effects that add maps times their amplitude.
@@ -294,59 +227,6 @@ class _Contrast(Weighed):
     axis: int
     maps: Array
     prior: float
-
-
-@dataclass(frozen=True)
-class _Predicted:
-    """The predicted image: maps [x, y, z, M] that follow courses (M, K), each region at its predicted curve."""
-
-    voxels: Voxels
-    maps: Array
-
-    @classmethod
-    def of(cls, voxels: Voxels) -> _Predicted:
-        picture = voxels.picture
-        levels = voxels.fit.values @ picture.courses.T
-        maps = np.empty((*picture.inside.shape, levels.shape[1]))
-        maps[...] = picture.outside * levels[picture.place].mean(axis=0)
-        maps[picture.inside] = levels[picture.place]
-        return cls(voxels, maps)
-
-    def seen(self, width: float) -> Array:
-        """The image through a point spread, as sharp before it as its regions' means demand (x, y, z, M).
-
-        Reference: van Cittert PH. Z Phys 1931;69:298-308 (repeated re-blurring).
-        """
-        inside, wanted, size = self.voxels.inside, self._means(self.maps), self.voxels.picture.size
-        sharp = self.maps.copy()
-        for _ in range(_SHARPENED):
-            short = wanted - self._means(_through(sharp, width, size))
-            sharp[inside] += short[self.voxels.place]
-        return _through(sharp, width, size)
-
-    def _means(self, maps: Array) -> Array:
-        """Means over the regions (R, M)."""
-        return self.voxels.mean_over(maps[self.voxels.inside])
-
-    def blurred(self) -> tuple[Weighed, list[Pattern]]:
-        """One contrast for the point spread, with a pattern a width.
-
-        It is there in every frame, as kinetics that vary are: how far they do is told by decoys of this very contrast,
-        which are as fine as it is.
-        """
-        voxels, courses = self.voxels, self.voxels.picture.courses
-        weights = voxels.centred(self.seen(_TYPICAL)[voxels.inside] @ courses.mean(axis=1))
-        patterns = []
-        for width in _WIDTHS:
-            row = voxels.framed(weights, self.seen(width)[voxels.inside], courses)
-            patterns.append(Pattern("partial_volume", "blur", row, {}, scale=width, signed=False))
-        return Weighed(weights, voxels.picture.grain.between(weights)), patterns
-
-    def width(self, contrast: Array, patterns: list[Pattern]) -> float:
-        """The FWHM at which the predicted contrast is as large as the image's, mm."""
-        typical = patterns[_WIDTHS.index(_TYPICAL)].rows
-        sizes = np.maximum.accumulate([0.0, *(float((typical * p.rows).sum()) for p in patterns)])
-        return float(np.interp(float((typical * contrast).sum()), sizes, [0.0, *_WIDTHS]))
 
 
 def _contrasts(scene: Scene) -> list[_Contrast]:

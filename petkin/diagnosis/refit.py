@@ -255,18 +255,26 @@ def _renewed(simulator: Simulator, noise: Noise, fit: Fit) -> Fit:
 
 
 def of_nuisance(simulator: Simulator, state: State, values: Array) -> Array:
-    """Derivatives by the simulator's own coordinates and the shared ones (n, C, K), at known values (C, K)."""
+    """Derivatives by the simulator's own coordinates and the shared ones (n, C, K), at known values (C, K).
+
+    Of a shared one that can go no further the derivative is that of the way back.
+    """
     steps, count = simulator.own.step, len(simulator.channels)
     batch = state.own + np.diag(steps)[:, None, :]
     change = (simulator.predict(batch, state.shared, state.terms) - values) / steps[:, None, None]
     mine = np.zeros((count, len(steps), *values.shape))
     for c in range(count):
         mine[c, :, c] = change[:, c]
-    rest = []
-    for s in range(len(simulator.shared)):
+
+    def by_shared(s: int, step: float) -> Array:
         moved = state.shared.copy()
-        moved[s] += simulator.shared.step[s]
-        rest.append(((simulator.predict(state.own, moved, state.terms) - values) / simulator.shared.step[s])[None])
+        moved[s] += step
+        return np.asarray((simulator.predict(state.own, moved, state.terms) - values) / step, np.float64)
+
+    rest = []
+    for s, step in enumerate(simulator.shared.step):
+        slope = by_shared(s, step)
+        rest.append((slope if slope.any() else by_shared(s, -step))[None])
     return np.concatenate([mine.reshape(-1, *values.shape), *rest])
 
 

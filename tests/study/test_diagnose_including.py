@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from petkin.diagnosis import Hypothesis, Term, base_fit
+from petkin.diagnosis import Hypothesis, Term, base_fit, of_nuisance
+from petkin.diagnosis.refit import State
 from petkin.effects import effect_named
 from petkin.imaging import WAYS, Exchange
 from petkin.io import RegionalCurves
@@ -173,3 +174,18 @@ def _change(
     """What a motion of 5 mm changes."""
     moved = simulator.predict(own, shared, (Term(motion, 5.0, setting),))
     return moved - simulator.predict(own, shared)
+
+
+def test_what_stands_at_its_limit_still_knows_the_way_back(plain: Path) -> None:
+    """A derivative of nought there would leave it where a gap has driven it, whatever explains the gap."""
+    _, simulator = ready(plain, "vascular_trapping", "vascular_release")
+    place = simulator.shared.symbols.index("vascular_release")
+    shared = simulator.shared.mean.copy()
+    shared[place] = simulator.limits["vascular_release"][1] / 0.1
+    own = simulator.starts[0]
+    values, step = simulator.predict(own, shared), simulator.shared.step[place]
+    back = shared.copy()
+    back[place] -= step
+    slope = of_nuisance(simulator, State(own, shared), values)[own.size + place]
+    np.testing.assert_allclose(slope, (values - simulator.predict(own, back)) / step, rtol=1e-6)
+    assert np.abs(slope).max() > 0.0

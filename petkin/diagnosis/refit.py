@@ -10,6 +10,7 @@ SIAM J Control Optim 1982;20:221-246 (steps that stay within bounds).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -257,25 +258,35 @@ def _renewed(simulator: Simulator, noise: Noise, fit: Fit) -> Fit:
 def of_nuisance(simulator: Simulator, state: State, values: Array) -> Array:
     """Derivatives by the simulator's own coordinates and the shared ones (n, C, K), at known values (C, K).
 
-    Of a shared one that can go no further the derivative is that of the way back.
+    Of one that can go no further, of an effect at its limit, the derivative is that of the way back.
     """
     steps, count = simulator.own.step, len(simulator.channels)
-    batch = state.own + np.diag(steps)[:, None, :]
-    change = (simulator.predict(batch, state.shared, state.terms) - values) / steps[:, None, None]
+    change = _either_way(
+        lambda sign: (
+            (simulator.predict(state.own + sign * np.diag(steps)[:, None, :], state.shared, state.terms) - values)
+            / (sign * steps[:, None, None])
+        )
+    )
     mine = np.zeros((count, len(steps), *values.shape))
     for c in range(count):
         mine[c, :, c] = change[:, c]
 
-    def by_shared(s: int, step: float) -> Array:
-        moved = state.shared.copy()
-        moved[s] += step
-        return np.asarray((simulator.predict(state.own, moved, state.terms) - values) / step, np.float64)
+    def by_shared(which: Array, step: float) -> Array:
+        return _either_way(
+            lambda sign: (
+                (simulator.predict(state.own, state.shared + sign * step * which, state.terms) - values) / (sign * step)
+            )
+        )
 
-    rest = []
-    for s, step in enumerate(simulator.shared.step):
-        slope = by_shared(s, step)
-        rest.append((slope if slope.any() else by_shared(s, -step))[None])
+    rest = [by_shared(*each)[None] for each in zip(np.eye(len(simulator.shared)), simulator.shared.step, strict=True)]
     return np.concatenate([mine.reshape(-1, *values.shape), *rest])
+
+
+def _either_way(quotient: Callable[[float], Array]) -> Array:
+    """Difference quotients (..., K) forwards; backwards where nothing changes forwards."""
+    forwards = quotient(1.0)
+    still = ~forwards.any(axis=-1, keepdims=True)
+    return np.where(still, quotient(-1.0), forwards) if still.any() else forwards
 
 
 def of_terms(simulator: Simulator, state: State, values: Array) -> Array:

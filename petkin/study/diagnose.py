@@ -182,8 +182,9 @@ def _diagnosed(
         based = base_fit(simulator, curves.values)
         names = frozenset(h.name for h in candidates)
         simulator, based, rest = pictured(source, picture, simulator, curves.values, based, seed=request.seed)
-        imaged, simulator = look_at_image(source, picture, simulator, based[0], names, rest, seed=request.seed)
-        based = based if simulator.misplaced is None else base_fit(simulator, curves.values)
+        imaged, moving = look_at_image(source, picture, simulator, based[0], names, rest, seed=request.seed)
+        if moving is not simulator:
+            simulator, based = moving, base_fit(moving, curves.values)
         candidates = possible()
         seen = tuple(map(imaged.looked.told, candidates))
         detected = detect(simulator, curves.values, seen, seed=request.seed, based=based)

@@ -189,3 +189,16 @@ def test_what_stands_at_its_limit_still_knows_the_way_back(plain: Path) -> None:
     slope = of_nuisance(simulator, State(own, shared), values)[own.size + place]
     np.testing.assert_allclose(slope, (values - simulator.predict(own, back)) / step, rtol=1e-6)
     assert np.abs(slope).max() > 0.0
+
+
+def test_a_region_at_its_limit_still_knows_the_way_back(plain: Path) -> None:
+    _, simulator = ready(plain, "attenuation_mismatch")
+    place, region = simulator.own.symbols.index("attenuation_mismatch"), 1
+    own, shared = simulator.starts[0].copy(), simulator.shared.mean
+    own[region, place] = simulator.limits["attenuation_mismatch"][1] / 0.3
+    values, step = simulator.predict(own, shared), simulator.own.step[place]
+    back = own.copy()
+    back[region, place] -= step
+    slope = of_nuisance(simulator, State(own, shared), values)[region * len(simulator.own.symbols) + place]
+    np.testing.assert_allclose(slope, (values - simulator.predict(back, shared)) / step, rtol=1e-6, atol=1e-12)
+    assert np.abs(slope[region]).max() > 0.0

@@ -15,6 +15,13 @@ Array = NDArray[np.float64]
 
 #: Effects that move the picture: at once, by and by.
 STEP, DRIFT = "motion_step", "motion_drift"
+#: Parts of a long way at which what it adds is drawn, the first none of it.
+PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def between(at: Array, nodes: Sequence[float]) -> Array:
+    """Weights (n, K) of what is known at nodes (n,), ascending, for what lies between them at (K,): linear."""
+    return np.stack([np.interp(at, nodes, each) for each in np.eye(len(nodes))])
 
 
 @dataclass(frozen=True)
@@ -57,12 +64,7 @@ class Gone:
 
     def is_that(self, other: Gone | None) -> bool:
         """Whether another is the same way."""
-        if other is None or (self.name, self.way, self.mm, self.beside) != (
-            other.name,
-            other.way,
-            other.mm,
-            other.beside,
-        ):
+        if other is None or (self.name, self.legs()) != (other.name, other.legs()):
             return False
         return bool(np.array_equal(self.course, other.course))
 

@@ -22,14 +22,13 @@ from petkin.diagnosis import (
     base_fit,
     smallest_set,
 )
-from petkin.study.diagnosis.including import in_picture, without
+from petkin.study.diagnosis.including import in_picture
 from petkin.study.diagnosis.moving import moving
 from petkin.study.diagnosis.picture import Picture, Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.resting import at_rest
-from petkin.study.diagnosis.scene import GAINS, MOTIONS
 from petkin.study.diagnosis.spatial import Looked, look
-from petkin.study.diagnosis.standing import spatial
+from petkin.study.diagnosis.standing import bare, spatial
 from petkin.study.sources import Source
 
 Array = NDArray[np.float64]
@@ -82,17 +81,15 @@ def pictured(
         seed: of the draws of noise.
     """
     simulator = moving(simulator, Voxels.of(picture, simulator, based[0]))
-    bare = without(simulator, frozenset(MOTIONS + GAINS))
     names = frozenset(effect.name for effect in spatial(simulator))
     if not names:
         return *in_picture(simulator, values, based), None
-    fit, *_ = base_fit(bare, values)
-    voxels = Voxels.of(picture, bare, fit)
-    looked, rest = look(voxels, bare, names, seed=seed), None
-    if looked.evident:
-        rest = at_rest(source, voxels, bare)
+    alone = bare(simulator)
+    voxels = Voxels.of(picture, alone, base_fit(alone, values)[0])
+    looked = look(voxels, alone, names, seed=seed)
+    rest = at_rest(source, voxels, alone) if looked.evident else None
     if rest is not None:
-        looked = look(rest, bare, names, seed=seed)
+        looked = look(rest, alone, names, seed=seed)
         simulator = moving(simulator, rest)
     sizes = {name: _in_mm(name, looked) for name in _sure(looked)}
     return *in_picture(simulator, values, based, looked.told, sizes), rest

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.imaging import WAYS, Exchange, Leg
-from petkin.study.diagnosis.gone import Gone
+from petkin.study.diagnosis.gone import PARTS, Gone
 from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
-from petkin.study.diagnosis.scene import PARTS, Scene, laid
+from petkin.study.diagnosis.scene import Scene, laid
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from scipy.ndimage import map_coordinates
 
 from petkin.effects.imaging import after
 from petkin.imaging import FrameObservation, Leg, origins
-from petkin.study.diagnosis.gone import DRIFT, STEP, Gone
+from petkin.study.diagnosis.gone import DRIFT, PARTS, STEP, Gone, between
 from petkin.study.diagnosis.onsets import onsets
 from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.scene import Scene, drifts
@@ -39,8 +39,8 @@ _BESIDE, _NEARER = (-0.8, -0.5, -0.3, -0.15, 0.15, 0.3, 0.5, 0.8), (-0.07, 0.07)
 _MORE, _OTHERS = 0.02, 2
 #: Motion that is less, mm, is left to contrasts: of 60 pictures that did not move none was laid on better by as much.
 _LEAST_MM = 4.0
-#: Onsets at most, which no scan has, and the shares of a frame at which they are tried; parts of the way of a drift.
-_ONSETS, _WITHIN, _PARTS = 1000, (0.0, 0.5), (0.0, 0.25, 0.5, 0.75, 1.0)
+#: Onsets at most, which no scan has, and the shares of a frame at which they are tried; for which it is laid.
+_ONSETS, _WITHIN, _SHARES = 1000, (0.0, 0.5), (0.0, 0.5, 1.0)
 
 
 def registered(voxels: Voxels, drawn: Array, clock: FrameObservation) -> Gone | None:
@@ -139,15 +139,13 @@ class _Laying:
         """What a motion gains over rest."""
         if not gone.gradual:
             return float(_in_part(self(gone.legs()) - at_rest, gone.course))
-        each = np.stack([at_rest[1], *(self(gone.legs(part))[1] for part in _PARTS[1:])])
-        reached = np.stack([np.interp(gone.course, _PARTS, hat) for hat in np.eye(len(_PARTS))])
-        return float(((each - at_rest[1]) * reached).sum())
+        each = np.stack([self(gone.legs(part))[1] for part in PARTS[1:]])
+        return float(((each - at_rest[1]) * between(gone.course, PARTS)[1:]).sum())
 
 
 def _in_part(gain: Array, share: Array) -> Array:
     """What frames that lie so for a share of them (K,) gain together, where half and whole ones gain so (..., 2, K)."""
-    hats = np.stack([np.interp(share, (0.0, 0.5, 1.0), hat) for hat in np.eye(3)[1:]])
-    return (gain * hats).sum(axis=(-2, -1))
+    return (gain * between(share, _SHARES)[1:]).sum(axis=(-2, -1))
 
 
 def _along(way: int, tried: Array, table: Array, clock: FrameObservation) -> Iterator[tuple[float, Gone]]:
@@ -159,12 +157,8 @@ def _along(way: int, tried: Array, table: Array, clock: FrameObservation) -> Ite
         best = int(gains.argmax())
         setting = {"axis": float(way), "onset": float(onset)}
         yield float(gains[best]), Gone(STEP, way, float(tried[best]), share, setting)
-    gain = gain[:, 1]
-    every = np.arange(gain.shape[1])
+    whole = gain[:, 1].T
     for course in drifts(clock.frames):
-        reached = np.clip(np.searchsorted(tried, tried[:, None] * course) - 1, 0, len(tried) - 2)
-        low, high = tried[reached], tried[reached + 1]
-        weight = (tried[:, None] * course - low) / (high - low)
-        gains = ((1.0 - weight) * gain[reached, every] + weight * gain[reached + 1, every]).sum(axis=1)
+        gains = np.sum([np.interp(part * tried, tried, mine) for part, mine in zip(course, whole, strict=True)], axis=0)
         best = int(gains.argmax())
         yield float(gains[best]), Gone(DRIFT, way, float(tried[best]), course, {"axis": float(way)})

@@ -13,11 +13,10 @@ from petkin.diagnosis import Fit, base_fit
 from petkin.io import read_regions
 from petkin.study.diagnosis.drawing import drawn_of
 from petkin.study.diagnosis.gone import Gone
-from petkin.study.diagnosis.including import without
 from petkin.study.diagnosis.picture import Picture, Voxels, read_picture
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.registration import registered
-from petkin.study.diagnosis.scene import GAINS, MOTIONS
+from petkin.study.diagnosis.standing import bare
 from petkin.study.sources import Source
 
 #: How often the image is read again, where the way found is not that of the last time.
@@ -46,17 +45,17 @@ def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Vox
         voxels: of its segmentation, as they are.
         simulator: what predicts the means over its regions.
     """
-    bare, still, gone = without(simulator, frozenset(MOTIONS + GAINS)), voxels, None
+    alone, still, gone = bare(simulator), voxels, None
     for _ in range(_ROUNDS):
         found = registered(_recorded(still, voxels), drawn_of(still), simulator.clock)
         if found is None or found.is_that(gone):
             break
-        picture = picture_of(source, bare, still.fit, found)
+        picture = picture_of(source, alone, still.fit, found)
         if picture is None:
             break
         gone = found
-        fit, *_ = base_fit(bare, Voxels.of(picture, bare, still.fit).means)
-        still = Voxels.of(picture, bare, fit)
+        fit, *_ = base_fit(alone, Voxels.of(picture, alone, still.fit).means)
+        still = Voxels.of(picture, alone, fit)
     return None if gone is None else replace(_recorded(still, voxels), gone=gone)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from petkin.imaging import PLANES, FrameSchedule, Leg, middle_and_rim, origins
-from petkin.study.diagnosis.gone import DRIFT, STEP
+from petkin.study.diagnosis.gone import DRIFT, PARTS, STEP, between
 from petkin.study.diagnosis.picture import BESIDE, Picture, Voxels
 
 Array = NDArray[np.float64]
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 MOTIONS, GAINS = (STEP, DRIFT), ("attenuation_mismatch",)
 #: Priors: mm of motion, relative gain at the edge of the head.
 MOTION_MM, GAIN = 10.0, 0.2
-#: Shares of a long way at which what it adds is drawn.
-PARTS = (0.25, 0.5, 0.75, 1.0)
 #: When a drift begins and ends, as shares of the scan; the first is the whole of it.
 _DRIFTS = ((0.0, 1.0), (0.0, 1 / 3), (0.0, 2 / 3), (1 / 3, 2 / 3), (1 / 3, 1.0), (2 / 3, 1.0))
 
@@ -37,7 +35,10 @@ def drifts(frames: FrameSchedule) -> list[Array]:
 
 
 def laid(picture: Picture, legs: Sequence[Leg]) -> Array:
-    """The labelled voxels as mixtures of courses where the picture has moved so (N, M)."""
+    """The labelled voxels as mixtures of courses where the picture has moved so (N, M), a cubic spline between voxels.
+
+    Reference: Unser M. IEEE Signal Process Mag 1999;16(6):22-38.
+    """
     labelled = picture.inside[picture.box]
     came = origins(np.argwhere(labelled).T.astype(np.float64), legs, picture.size, labelled)
     return np.stack([map_coordinates(maps, came, mode="nearest", prefilter=False) for maps in picture.splines], axis=1)
@@ -74,7 +75,7 @@ class Scene:
         frame, of a drift the part of its way."""
         if not self._gradual(name, way):
             return [course]
-        return [np.interp(course, (0.0, *PARTS), hat) for hat in np.eye(1 + len(PARTS))[1:]]
+        return list(between(course, PARTS)[1:])
 
     def _gradual(self, name: str, way: int) -> bool:
         """Whether a motion goes a long way by and by."""
@@ -86,7 +87,7 @@ class Scene:
         """What parts of a long way add, by its mm."""
         gone, seen, picture = self.voxels.gone, self.voxels.seen, self.voxels.picture
         assert gone is not None
-        return [(laid(picture, gone.legs(part)) - seen) / gone.mm for part in PARTS]
+        return [(laid(picture, gone.legs(part)) - seen) / gone.mm for part in PARTS[1:]]
 
     @cached_property
     def bends(self) -> list[Array]:

@@ -150,19 +150,19 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     added = _named(scene, contrasts)
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
 
-    at_rest = scene.voxels if voxels.gone is None else replace(still, drawn=drawn)
+    calm = replace(still, drawn=drawn)
 
     def asked(still: Voxels) -> Contrasted:
         varying, variation = Variation.of(still, [blurring]), Variation.of(still, contrasts)
         nuisance = np.concatenate([varying.columns(blurring.weights), standing.rows(blurring.weights)])
         families = {"blur": Family(sums, nuisance, blurring.noise)}
-        families |= {each.family: _family(each, scene, at_rest, variation, standing, least) for each in contrasts}
+        families |= {each.family: _family(each, scene, calm, variation, standing, least) for each in contrasts}
         held = (variation.joint, standing.joint)
         unnamed = departures(scene.voxels, held, simulator.clock.frames.mid, added, least=least)
         rng = np.random.default_rng((seed, len(patterns)))
         return judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
 
-    first = asked(at_rest)
+    first = asked(calm)
     if voxels.gone is not None:
         return Looked(_as_gone(voxels.gone, first), width, _sighted(voxels, simulator))
     timed = {name: best for name, best in first.best.items() if best.pattern.course is not None}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from petkin.effects import Effect
 from petkin.effects.imaging import after
 from petkin.study.diagnosis.fields import added, fields_of
+from petkin.study.diagnosis.including import without
 from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.scene import GAIN, GAINS, MOTION_MM, MOTIONS, Scene, drifts
@@ -31,6 +32,11 @@ _INEXACT = 0.05
 def spatial(simulator: RegionalSimulator) -> tuple[Effect, ...]:
     """Those of the effects that a simulator includes which an image may show."""
     return tuple(effect for effect in simulator.includes if effect.name in MOTIONS + GAINS)
+
+
+def bare(simulator: RegionalSimulator) -> RegionalSimulator:
+    """The simulator without those."""
+    return without(simulator, frozenset(effect.name for effect in spatial(simulator)))
 
 
 @dataclass(frozen=True)
@@ -121,12 +127,14 @@ def _parts(effect: Effect, scene: Scene, simulator: RegionalSimulator) -> list[_
         return []
     if effect.name in MOTIONS:
         gone = scene.voxels.gone
-        inexact = 0.0 if gone is None else _INEXACT * gone.most
-        return [
+        found = [
             _Part(scene.motions.values, MOTION_MM * courses),
             _Part(lambda: scene.bends, 0.5 * MOTION_MM**2 * courses**2),
-            _Part(scene.motions.values, inexact * np.stack(drifts(simulator.clock.frames))),
         ]
+        if gone is not None:
+            drifting = _INEXACT * gone.most * np.stack(drifts(simulator.clock.frames))
+            found.append(_Part(scene.motions.values, drifting))
+        return found
     tilts = _Part(lambda: (scene.tilt(axis) for axis in scene.axes), GAIN * courses)
     voxels = scene.voxels
     return [tilts, _Part(lambda: (field[:, None] * voxels.seen for field in fields_of(voxels)), GAIN * courses)]

@@ -7,7 +7,7 @@ READY := $(VENV)/.installed
 # Folder of the common benchmark curves; without it, speed alone is measured.
 BENCH_DATA ?= ../shared/data/bench
 
-.PHONY: install demo test lint bench clean
+.PHONY: install demo test lint bench notebooks clean
 
 install: $(READY)
 
@@ -34,6 +34,10 @@ lint: install
 
 bench: install
 	$(BIN)/petkin-bench speed fit $(if $(wildcard $(BENCH_DATA)),--data $(BENCH_DATA))
+
+# Runs every notebook and draws its picture anew, beside it.
+notebooks: install
+	cd notebooks && for notebook in *.py; do ../$(BIN)/python "$$notebook"; done
 
 clean:
 	rm -rf $(VENV) petkin-demo .pytest_cache .ruff_cache .hypothesis .import_linter_cache

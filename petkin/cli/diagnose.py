@@ -76,7 +76,7 @@ def diagnose(
     """
     from petkin.cli.parsing import labels, typed_command
     from petkin.cli.progress import progress_bar
-    from petkin.cli.tell import tell_diagnoses
+    from petkin.cli.tell import tell_design, tell_diagnoses
     from petkin.study.diagnose import diagnose_study, foresee_study
     from petkin.study.diagnosis.request import DiagnoseRequest
 
@@ -97,6 +97,6 @@ def diagnose(
     with progress_bar() as step:
         foreseen = foresee_study(request, step) if design else ()
         found = () if design else diagnose_study(request, step)
-    for label, text in foreseen:
-        print(f"{label}:\n{text}")
+    for label, visible in foreseen:
+        tell_design(label, visible)
     tell_diagnoses(found)

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from petkin.diagnosis import Visible
     from petkin.fitting import FitResult
     from petkin.reporting import TruthRow
     from petkin.study.diagnose import Diagnosed
@@ -68,6 +69,24 @@ def tell_diagnoses(found: Sequence[Diagnosed]) -> None:
         if one.answer["verdict"]["split_by"]:
             print(f"  To tell them apart: {one.answer['verdict']['split_by']}.")
         print(f"  Report: {one.report}")
+
+
+def tell_design(label: str, visible: Sequence[Visible]) -> None:
+    """What a design could tell of every effect: d' at the end of its plausible range, the share of it that the refit
+    keeps, and what it is taken for."""
+    from petkin.diagnosis import ABSORBED
+
+    console = _console()
+    table = _table("effect", right=("d'", "kept"))
+    table.add_column("taken for", overflow="fold")
+    for one in sorted(visible, key=lambda v: -v.detectability):
+        alike = ", ".join(f"{name} ({cosine:.2f})" for name, cosine in one.partners[:2])
+        kept = _percent(100.0 * one.kept) if one.kept >= ABSORBED else "none"
+        table.add_row(
+            one.hypothesis.name, f"{one.detectability:.2f}", kept, "cannot be seen" if one.invisible else alike
+        )
+    console.print(f"{label}: what could be told, at the end of each plausible range", markup=False, highlight=False)
+    console.print(table)
 
 
 def _console() -> Console:

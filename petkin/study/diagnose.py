@@ -13,6 +13,7 @@ from petkin.diagnosis import (
     Detected,
     Hypothesis,
     Member,
+    Visible,
     base_fit,
     detect,
     diagnose,
@@ -39,7 +40,6 @@ from petkin.reporting import (
 )
 from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.cohort import cohort_answer
-from petkin.study.diagnosis.design_table import design_table
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.imaged import look_at_image, pictured, weighed
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
@@ -280,8 +280,10 @@ def _cohort(
     return Diagnosed("group", text, out / relative)
 
 
-def foresee_study(request: DiagnoseRequest, progress: Progress = _silent) -> tuple[tuple[str, str], ...]:
-    """For every scan, its label and a table of what its frames, regions and blood could ever tell.
+def foresee_study(
+    request: DiagnoseRequest, progress: Progress = _silent
+) -> tuple[tuple[str, tuple[Visible, ...]], ...]:
+    """For every scan, its label and what its frames, regions and blood could ever tell of each effect.
 
     Noise is that of the scan's own curves, and goes as all scans tell; no effect is judged from them.
 
@@ -296,6 +298,6 @@ def foresee_study(request: DiagnoseRequest, progress: Progress = _silent) -> tup
         progress(f"{source.label}: design", _LAWS + (1.0 - _LAWS) * i / len(scans))
         candidates = _candidates(simulator, request)
         _, simulator, _ = _law_of_noise(simulator, curves, candidates, request, law)
-        found.append((source.label, design_table(foresee_design(simulator, curves.values, candidates))))
+        found.append((source.label, foresee_design(simulator, curves.values, candidates)))
     progress("done", 1.0)
     return tuple(found)

@@ -1,12 +1,14 @@
-"""What `petkin diagnose` prints: what is odd about the files first, then the verdicts."""
+"""What `petkin diagnose` prints: what is odd about the files first, then the verdicts; what a design could tell."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from petkin.cli.tell import tell_diagnoses
+from petkin.cli.tell import tell_design, tell_diagnoses
+from petkin.diagnosis import Hypothesis, Visible
 from petkin.io.remarks import Remark, Severity
 from petkin.study.diagnose import Diagnosed
 
@@ -32,3 +34,15 @@ def test_of_several_scans_what_is_alike_is_said_once(capsys: pytest.CaptureFixtu
     assert lines[0].startswith("warning sub-01: is odd.")
     assert "1 more alike" in lines[0]
     assert sum("is odd" in line for line in lines) == 1
+
+
+def test_a_design_tells_the_strongest_first_and_what_cannot_be_seen(capsys: pytest.CaptureFixture[str]) -> None:
+    def visible(name: str, detectability: float, kept: float) -> Visible:
+        hypothesis = Hypothesis(name, "input", "amplitude", "s", 0.0, 1.0)
+        return Visible(hypothesis, detectability, kept, np.zeros(0), np.zeros(0), (("dispersion", 0.99),))
+
+    tell_design("sub-01", [visible("input_scale", 0.0, 0.0), visible("arterial_delay", 12.3, 0.05)])
+    _, heading, first, second = (line.split() for line in capsys.readouterr().out.splitlines())
+    assert heading == ["effect", "d'", "kept", "taken", "for"]
+    assert first == ["arterial_delay", "12.30", "5", "%", "dispersion", "(0.99)"]
+    assert second == ["input_scale", "0.00", "none", "cannot", "be", "seen"]

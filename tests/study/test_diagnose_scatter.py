@@ -160,6 +160,22 @@ def test_a_law_that_is_not_sure_hides_no_gap(tmp_path: Path) -> None:
     assert not len(other.law_errors)
 
 
+@pytest.mark.parametrize("seed", [0, 4])
+def test_an_offset_that_makes_early_frames_uneven_is_not_noise(tmp_path: Path, seed: int) -> None:
+    """20 s, of which a law of louder early frames explains much, but the cause more."""
+    frames = "6x10,4x30,5x60,4x120,8x300"
+    settings = SimulationSettings(out=tmp_path / "study", noise=0.0, effects=("frame_offset=20",), frames=frames)
+    request = DiagnoseRequest(simulate(settings), include=("blood_volume",))
+    _, _, (source,) = sources_of(request)
+    curves, simulator = prepared(source, request)
+    rng, sd = np.random.default_rng(seed), simulator.spread(curves.values)
+    late = np.median((sd / curves.values)[:, simulator.times > 20.0], axis=1, keepdims=True)
+    noise = np.sqrt(0.4) * rng.standard_normal(sd.shape) + np.sqrt(0.6) * rng.standard_normal(sd.shape[1])
+    candidates = hypotheses(EFFECTS, simulator, without=frozenset())
+    _, _, detected = law_of_noise(simulator, curves.values + 0.02 * sd / late * noise, candidates, seed=0)
+    assert detected.present
+
+
 @pytest.mark.parametrize("law", [COUNTS, NoiseLaw(0.4, 0.6, 0.7)])
 def test_evidence_without_a_gap_is_that_of_a_mean_over_laws(tmp_path: Path, law: NoiseLaw) -> None:
     request = request_of(tmp_path)

@@ -12,6 +12,7 @@ import numpy as np
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.effects.forward_model import STAGES, ForwardModel
 from petkin.errors import InputError
+from petkin.inputs import InputFunction
 
 Change = Callable[[ForwardModel, Mapping[str, Any]], ForwardModel]
 
@@ -21,6 +22,10 @@ REGION = Parameter("region", "1", 1.0, 0.0, 999.0, meaning="number of the region
 
 def _always(_: ForwardModel) -> bool:
     return True
+
+
+def _none(_: InputFunction) -> tuple[Mapping[str, float], ...]:
+    return ()
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,7 @@ class Effect:
         flag: whether it is there or not, with no strength of its own.
         grid: values at which a diagnosis starts, by symbol, of parameters other than the amplitude; those that are not
             named here and not "onset", "frame" or "region" stay at their start.
+        besides: more such starts that blood of a kind has, each with all values that it needs.
         suits: whether a forward model can have it.
         trust: part of the range that is likely where the files say that what it concerns was measured with care.
         least: what no amplitude of a diagnosis lies below, where that is known; else a fit may go beyond the range.
@@ -57,6 +63,7 @@ class Effect:
     alike: bool = False
     flag: bool = False
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    besides: Callable[[InputFunction], tuple[Mapping[str, float], ...]] = _none
     suits: Callable[[ForwardModel], bool] = _always
     trust: float = 1.0
     least: float = -math.inf

@@ -14,7 +14,7 @@ from petkin.dynamics.arrays import alike, library
 from petkin.effects.effect import Effect
 from petkin.effects.forward_model import ForwardModel
 from petkin.errors import InputError
-from petkin.inputs import dispersed
+from petkin.inputs import InputFunction, dispersed
 from petkin.inputs.linearise import piecewise_linear
 from petkin.units import SECONDS_PER_MINUTE
 
@@ -28,6 +28,11 @@ _DENSE = 300
 _SLOWEST_LINE = 12.0
 #: Rate of the tissue around a vessel that an image-derived input takes up from, 1/min.
 _TISSUE_RATE = 0.1
+#: How what the parent fraction lacks goes with time: by a half-time of its own, or with the recorded metabolites, which
+#: come sooner than recorded, or are more.
+BY_TIME, SOONER, MORE = 0.0, 1.0, 2.0
+#: The least that a recorded fraction counts as, and one that never falls below this has no metabolites.
+_LEAST_FRACTION, _NEXT_TO_ALL = 0.02, 0.98
 
 
 def _delay(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -101,31 +106,55 @@ def _of_all(model: ForwardModel, change: Callable[[Forcing], Forcing]) -> Forwar
 
 
 def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
-    """C_P (1 - a h(t)), h = t^2 / (t^2 + t50^2)."""
-    loss, half = values["loss"], values["half_time"]
+    """C_P (1 - a h(t)), h as `course` has it."""
+    loss, half, course = values["loss"], values["half_time"], values["course"]
     if not loss <= 1:
         raise InputError(
             f"parent_fraction={loss:g}: no more than all of the tracer can be metabolised; give at most 1."
         )
-
-    def kept(forcing: Forcing, end: float) -> Forcing:
-        if isinstance(forcing, Shifted):
-            return Shifted(kept(forcing.forcing, end - float(forcing.delay)), forcing.delay)
-        curve = straight(forcing, end)
-        t, before, lost, late = alike(curve.times.clip(min=0.0), curve.values, loss, half)
-        return PiecewiseLinear(curve.times, before * (1.0 - lost * t**2 / (t**2 + late**2)))
-
+    if course not in (BY_TIME, SOONER, MORE):
+        raise InputError(f"parent_fraction: course={course:g}: give 0, 1 or 2.")
     before, end = model.input, _end(model)
+    if course != BY_TIME and before.parent_fraction is None:
+        raise InputError(f"parent_fraction: course={course:g}: there is no parent fraction in this blood; give 0.")
     fraction = before.parent_fraction or PiecewiseLinear(np.array([0.0, end]), np.ones(2))
+    scan = np.linspace(0.0, float(model.clock.frames.end[-1]), 512)
+    most = max(float(_of_metabolites(fraction(scan), course).max()), 1e-12)
+
+    def kept(forcing: Forcing, fraction: Forcing, end: float) -> Forcing:
+        if isinstance(forcing, Shifted):
+            early = float(forcing.delay)
+            inside = fraction.forcing if isinstance(fraction, Shifted) else Shifted(fraction, -early)
+            return Shifted(kept(forcing.forcing, inside, end - early), forcing.delay)
+        curve = straight(forcing, end)
+        t = curve.times.clip(min=0.0)
+        t, share, before, lost, late = alike(t, fraction(t), curve.values, loss, half)
+        h = t**2 / (t**2 + late**2) if course == BY_TIME else _of_metabolites(share, course) / most
+        return PiecewiseLinear(curve.times, before * (1.0 - lost * h))
+
     finer = PiecewiseLinear(t := np.linspace(0.0, end, 512), fraction(t))
     changed = replace(
         before,
-        plasma=kept(before.plasma, end),
+        plasma=kept(before.plasma, fraction, end),
         total_plasma=before.total_plasma or before.plasma,
-        parent_fraction=kept(finer, end),
+        parent_fraction=kept(finer, fraction, end),
         parent_fraction_fit=None,
     )
     return replace(model, input=changed)
+
+
+def _of_metabolites(fraction: Any, course: float) -> Any:
+    """1 - P, or (1 - P) / P, for a parent fraction P."""
+    share = fraction.clip(min=_LEAST_FRACTION, max=1.0)
+    return 1.0 - share if course == SOONER else (1.0 - share) / share
+
+
+def _with_metabolites(blood: InputFunction) -> tuple[dict[str, float], ...]:
+    """Courses that go as the recorded metabolites do, where there are any."""
+    fraction = blood.parent_fraction
+    if fraction is None or float(fraction(fraction.knots).min()) > _NEXT_TO_ALL:
+        return ()
+    return tuple({"half_time": 10.0, "course": course} for course in (SOONER, MORE))
 
 
 def _spilled(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -187,14 +216,24 @@ PARENT_FRACTION = Effect(
             Parameter(
                 "loss", "1", 0.3, -0.5, 0.95, meaning="share by which late plasma holds less tracer than recorded"
             ),
-            Parameter("half_time", "min", 10.0, 1.0, 60.0, meaning="when half of that is lost"),
+            Parameter("half_time", "min", 10.0, 1.0, 60.0, meaning="when half of that is lost, of course 0"),
+            Parameter(
+                "course",
+                "1",
+                BY_TIME,
+                BY_TIME,
+                MORE,
+                meaning="0: by half_time; metabolites come 1: sooner, 2: to more",
+            ),
         )
     ),
-    meaning="less (> 0) of the plasma is unchanged tracer than recorded, or more: C_P (1 - a t^2 / (t^2 + t50^2))",
+    meaning="less (> 0) of the plasma is unchanged tracer than recorded, or more: C_P (1 - a h), "
+    "h = t^2 / (t^2 + t50^2), or with the recorded fraction P as 1 - P (course 1) or (1 - P) / P (2) goes",
     source="Tonietto M et al. J Cereb Blood Flow Metab 2016;36:326-339, doi:10.1177/0271678X15610585",
     change=_metabolised,
     split_by="parent fraction measured in more samples, or a second measurement of them",
     grid={"half_time": (3.0, 8.0, 20.0)},
+    besides=_with_metabolites,
     trust=0.1,
 )
 

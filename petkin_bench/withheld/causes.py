@@ -28,7 +28,9 @@ from petkin_bench.withheld.changes import (
     leaked,
     metabolised,
     metabolised_exponential,
+    metabolised_power,
     misread,
+    more_metabolites,
     one_frame,
     passed,
     plateau_course,
@@ -37,6 +39,7 @@ from petkin_bench.withheld.changes import (
     scanner,
     second_bolus,
     shapes,
+    sooner_metabolised,
     step_course,
     trapped,
     triangle_course,
@@ -150,6 +153,7 @@ KNOWN: tuple[Cause, ...] = (
 OTHER_FORMS: dict[str, tuple[Cause, ...]] = {
     "training": (
         Cause("parent_fraction", "input", blood(metabolised(1.3)), 0.9),
+        Cause("parent_fraction", "input", blood(metabolised_power), 0.9),
         Cause("time_varying_kinetics", "tissue", course(triangle_course, 1, local=True), 3.0, onset=True, local=True),
         Cause(
             "gain_step",
@@ -171,6 +175,8 @@ OTHER_FORMS: dict[str, tuple[Cause, ...]] = {
     "scored": (
         Cause("dispersion", "input", blood(dispersed_twice), 20.0),
         Cause("parent_fraction", "input", blood(metabolised_exponential), 0.9),
+        Cause("parent_fraction", "input", blood(more_metabolites), 0.6),
+        Cause("parent_fraction", "input", blood(sooner_metabolised), 0.6),
         Cause("tissue_metabolite", "tissue", leaked(4.0), 1.0),
         Cause(
             "tissue_heterogeneity",

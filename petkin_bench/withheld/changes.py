@@ -91,6 +91,21 @@ def metabolised_exponential(b: Blood, size: float, d: Draw) -> Blood:
     return replace(b, parent=b.parent * (1.0 - size * (1.0 - np.exp(-b.t / d.length))))
 
 
+def metabolised_power(b: Blood, size: float, d: Draw) -> Blood:
+    """A power of the fraction: it falls as if its logarithm were read too small, or too large."""
+    return replace(b, parent=b.parent ** (1.0 + d.sign * size))
+
+
+def more_metabolites(b: Blood, size: float, d: Draw) -> Blood:
+    """All metabolites by a share more than were found, or fewer; no more than all of the plasma."""
+    return replace(b, parent=np.clip(1.0 - (1.0 + d.sign * size) * (1.0 - b.parent), 0.0, 1.0))
+
+
+def sooner_metabolised(b: Blood, size: float, d: Draw) -> Blood:
+    """The fraction runs faster, or more slowly."""
+    return replace(b, parent=np.interp(b.t * (1.0 + d.sign * size), b.t, b.parent))
+
+
 def second_bolus(b: Blood, size: float, d: Draw) -> Blood:
     """Tracer from the line's dead volume arrives later, after the manual samples were taken."""
     s = np.maximum(b.t - d.onset, 0.0) / 1.5

@@ -43,7 +43,7 @@ CONTRACT = {
 #: Names that are ours.
 BEYOND = {"vascular": "vascular_release"}
 #: Parameters that are zero unless they are given: everywhere, for ever.
-IDLE = ("region", "kr")
+IDLE = ("region", "kr", "course")
 LAMBDA = math.log(2) / 109.77
 
 
@@ -410,6 +410,8 @@ def test_options_that_name_nothing_are_refused(text: str, message: str) -> None:
         "blood_volume=5",
         "second_tissue=-0.1",
         "parent_fraction=2",
+        "parent_fraction=0.3,course=3",
+        "parent_fraction=0.3,course=2",
         "gain_step=0.1,onset=nan",
         "attenuation_mismatch=0.1,region=3",
     ],
@@ -417,6 +419,25 @@ def test_options_that_name_nothing_are_refused(text: str, message: str) -> None:
 def test_impossible_strengths_are_refused(text: str, one_tissue: ForwardModel) -> None:
     with pytest.raises(InputError):
         read_injection(text).into(one_tissue)
+
+
+@pytest.mark.parametrize("course", [1.0, 2.0])
+def test_metabolites_that_come_sooner_or_are_more(course: float, one_tissue: ForwardModel) -> None:
+    """Of more metabolites by s the fraction is P - s (1 - P), with s = a P / (1 - P) where the scan ends."""
+    effect = effect_named("parent_fraction")
+    base = able(effect, one_tissue)
+    changed = effect.inject(base, {"loss": 0.6, "course": course})
+    assert base.input.parent_fraction is not None
+    assert changed.input.parent_fraction is not None
+    t = torch.tensor([3.0, base.clock.frames.end[-1]], dtype=torch.float64)
+    recorded, last = base.input.parent_fraction(t), float(base.input.parent_fraction(t)[-1])
+    share = 0.6 * last / (1.0 - last)
+    more = recorded - share * (1.0 - recorded)
+    sooner = recorded * (1.0 - 0.6 * (1.0 - recorded) / (1.0 - last))
+    expected = more if course == 2.0 else sooner
+    assert changed.input.parent_fraction(t).tolist() == pytest.approx(expected.tolist(), rel=2e-3)
+    ratio = changed.input.plasma(t) / base.input.plasma(t)
+    assert ratio.tolist() == pytest.approx((expected / recorded).tolist(), rel=2e-3)
 
 
 def test_a_second_tissue_beside_a_second_tissue_is_refused(one_tissue: ForwardModel) -> None:

@@ -314,7 +314,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         unit={"min^-1": "1/min"}.get(amplitude.unit, amplitude.unit),
         lower=amplitude.lower,
         upper=amplitude.upper,
-        settings=_settings(effect, simulator),
+        settings=(*_settings(effect, simulator), *effect.besides(simulator.input)),
         shapes=tuple(shapes),
         by_channel=bool(effect.regional),
         alike=effect.alike,

@@ -106,7 +106,8 @@ def _of_all(model: ForwardModel, change: Callable[[Forcing], Forcing]) -> Forwar
 
 
 def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
-    """C_P (1 - a h(t)), h as `course` has it."""
+    """C_P (1 - a h(t)), or C_P / (1 + h(t) a / (1 - a)) where metabolites come sooner: what runs k times as fast, of a
+    fraction 1 / (1 + (t / tau)^b), has odds k^b times as large."""
     loss, half, course = values["loss"], values["half_time"], values["course"]
     if not loss <= 1:
         raise InputError(
@@ -118,8 +119,9 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
     if course != BY_TIME and before.parent_fraction is None:
         raise InputError(f"parent_fraction: course={course:g}: there is no parent fraction in this blood; give 0.")
     fraction = before.parent_fraction or PiecewiseLinear(np.array([0.0, end]), np.ones(2))
-    scan = np.linspace(0.0, float(model.clock.frames.end[-1]), 512)
-    most = max(float(_of_metabolites(fraction(scan), course).max()), 1e-12)
+    record, late = (fraction.forcing, float(fraction.delay)) if isinstance(fraction, Shifted) else (fraction, 0.0)
+    scan = np.linspace(0.0, float(model.clock.frames.end[-1]) - late, 512)
+    most = max(float(_of_metabolites(record(scan), course).max()), 1e-12)
 
     def kept(forcing: Forcing, fraction: Forcing, end: float) -> Forcing:
         if isinstance(forcing, Shifted):
@@ -129,8 +131,11 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
         curve = straight(forcing, end)
         t = curve.times.clip(min=0.0)
         t, share, before, lost, late = alike(t, fraction(t), curve.values, loss, half)
-        h = t**2 / (t**2 + late**2) if course == BY_TIME else _of_metabolites(share, course) / most
-        return PiecewiseLinear(curve.times, before * (1.0 - lost * h))
+        if course == BY_TIME:
+            return PiecewiseLinear(curve.times, before * (1.0 - lost * t**2 / (t**2 + late**2)))
+        h = _of_metabolites(share, course) / most
+        odds = lost / (1.0 - lost).clip(min=_LEAST_FRACTION)
+        return PiecewiseLinear(curve.times, before * (1.0 / (1.0 + odds * h) if course == SOONER else 1.0 - lost * h))
 
     finer = PiecewiseLinear(t := np.linspace(0.0, end, 512), fraction(t))
     changed = replace(
@@ -228,7 +233,7 @@ PARENT_FRACTION = Effect(
         )
     ),
     meaning="less (> 0) of the plasma is unchanged tracer than recorded, or more: C_P (1 - a h), "
-    "h = t^2 / (t^2 + t50^2), or with the recorded fraction P as 1 - P (course 1) or (1 - P) / P (2) goes",
+    "h = t^2 / (t^2 + t50^2), or with the recorded fraction P as (1 - P) / P (course 2), or its odds (course 1) change",
     source="Tonietto M et al. J Cereb Blood Flow Metab 2016;36:326-339, doi:10.1177/0271678X15610585",
     change=_metabolised,
     split_by="parent fraction measured in more samples, or a second measurement of them",

@@ -176,7 +176,7 @@ OTHER_FORMS: dict[str, tuple[Cause, ...]] = {
         Cause("dispersion", "input", blood(dispersed_twice), 20.0),
         Cause("parent_fraction", "input", blood(metabolised_exponential), 0.9),
         Cause("parent_fraction", "input", blood(more_metabolites), 0.6),
-        Cause("parent_fraction", "input", blood(sooner_metabolised), 0.6),
+        Cause("parent_fraction", "input", blood(sooner_metabolised), 1.0),
         Cause("tissue_metabolite", "tissue", leaked(4.0), 1.0),
         Cause(
             "tissue_heterogeneity",

@@ -102,8 +102,9 @@ def more_metabolites(b: Blood, size: float, d: Draw) -> Blood:
 
 
 def sooner_metabolised(b: Blood, size: float, d: Draw) -> Blood:
-    """The fraction runs faster, or more slowly."""
-    return replace(b, parent=np.interp(b.t * (1.0 + d.sign * size), b.t, b.parent))
+    """Odds of metabolites larger by a factor, or smaller: the fraction runs faster, or more slowly."""
+    odds = (1.0 - b.parent) / b.parent * np.exp(d.sign * size)
+    return replace(b, parent=1.0 / (1.0 + odds))
 
 
 def second_bolus(b: Blood, size: float, d: Draw) -> Blood:

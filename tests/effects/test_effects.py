@@ -421,11 +421,14 @@ def test_impossible_strengths_are_refused(text: str, one_tissue: ForwardModel) -
         read_injection(text).into(one_tissue)
 
 
+@pytest.mark.parametrize("late", [0.0, 0.5])
 @pytest.mark.parametrize("course", [1.0, 2.0])
-def test_metabolites_that_come_sooner_or_are_more(course: float, one_tissue: ForwardModel) -> None:
-    """Of more metabolites by s the fraction is P - s (1 - P), with s = a P / (1 - P) where the scan ends."""
+def test_metabolites_that_come_sooner_or_are_more(course: float, late: float, one_tissue: ForwardModel) -> None:
+    """Of more metabolites by s the fraction is P - s (1 - P), with s = a P / (1 - P) where the scan ends; where they
+    come sooner their odds grow by a factor. Before late blood arrives there is no fraction, and no metabolite."""
     effect = effect_named("parent_fraction")
     base = able(effect, one_tissue)
+    base = dataclasses.replace(base, input=base.input.delayed(late)) if late else base
     changed = effect.inject(base, {"loss": 0.6, "course": course})
     assert base.input.parent_fraction is not None
     assert changed.input.parent_fraction is not None
@@ -433,7 +436,7 @@ def test_metabolites_that_come_sooner_or_are_more(course: float, one_tissue: For
     recorded, last = base.input.parent_fraction(t), float(base.input.parent_fraction(t)[-1])
     share = 0.6 * last / (1.0 - last)
     more = recorded - share * (1.0 - recorded)
-    sooner = recorded * (1.0 - 0.6 * (1.0 - recorded) / (1.0 - last))
+    sooner = 1.0 / (1.0 + (1.0 / recorded - 1.0) * (1.0 + 0.6 / 0.4 / (1.0 - last)))
     expected = more if course == 2.0 else sooner
     assert changed.input.parent_fraction(t).tolist() == pytest.approx(expected.tolist(), rel=2e-3)
     ratio = changed.input.plasma(t) / base.input.plasma(t)

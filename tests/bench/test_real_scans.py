@@ -46,6 +46,12 @@ def test_what_these_walls_trap_returns(shared_data: Path) -> None:
     assert {str(row["simulator"]).split()[-1] for row in rows} == {"vascular_trapping"}
 
 
+def test_a_missing_compartment_is_named_in_all_scans_but_one(shared_data: Path) -> None:
+    """9 of 12 where trapping's return could not leave its limit, and where a law was told beside another fit."""
+    rows = measured(shared_data / "pbr28", only=("second_tissue",), blood="fitted")
+    assert sum(bool(row["first"]) for row in rows[:-1]) >= 11
+
+
 def test_a_simulator_that_traps_nothing_has_nothing_to_return(shared_data: Path) -> None:
     rows = measured(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",))
     assert {str(row["simulator"]) for row in rows} == {"2TCM blood_volume arterial_delay"}

@@ -126,7 +126,7 @@ def law_of_noise(
         if denied and not _beyond_noise(simulator, likeliest):
             return told, other, otherwise
         if found.otherwise:
-            found = _beside_leader(simulator, values, likeliest, found, seed=seed)
+            found = _beside_leader(simulator, values, counted, likeliest, found, seed=seed)
             told = None if without else found
         if not found.otherwise or (without and found.claimed):
             return told, simulator, counted
@@ -164,7 +164,7 @@ def laws_in_common(
         detected = detect(simulator, values, candidates, seed=seed)
         if detected.present:
             likeliest = diagnose(simulator, values, candidates, always=always, seed=seed, detected=detected)
-            looks[i] = _beside_leader(simulator, values, likeliest, looks[i], seed=seed)
+            looks[i] = _beside_leader(simulator, values, detected, likeliest, looks[i], seed=seed)
         told(len(scans) + i + 1)
     return shared_law(looks) or alone
 
@@ -176,13 +176,16 @@ def _beyond_noise(simulator: RegionalSimulator, likeliest: Diagnosis) -> bool:
 
 
 def _beside_leader(
-    simulator: RegionalSimulator, values: Array, likeliest: Diagnosis, found: Scatter, *, seed: int
+    simulator: RegionalSimulator, values: Array, detected: Detected, likeliest: Diagnosis, found: Scatter, *, seed: int
 ) -> Scatter:
-    """What is left beside the likeliest cause says of the law; what was found where it has no fit."""
-    leader = likeliest.causes[0].fit
+    """What is left beside the likeliest cause says of the law; what was found where it has no fit.
+
+    What the cause adds is told from the fit that showed the gap: noise weighed by the cause moves a fit without it.
+    """
+    leader, base = likeliest.causes[0].fit, detected.based[0]
     if leader is None:
         return found
-    return look_at_scatter(simulator, base_fit(simulator, values - (leader.values - likeliest.base.values)), seed=seed)
+    return look_at_scatter(simulator, base_fit(simulator, values - (leader.values - base.values)), seed=seed)
 
 
 def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:

@@ -41,8 +41,8 @@ from petkin.study.diagnosis.shared_law import SharedLaw, shared_law
 Array = NDArray[np.float64]
 
 #: Log evidence of a gap that is strong, and how much more than a law's it must be for no law to stand in its place. Of
-#: 230 training scans of noise alone, of five other laws, whose gap a law explains, none has such a gap; of 8 with one
-#: region and a gap of d' 6 to 19 four.
+#: 183 training scans of noise alone, of five other laws, whose gap a law explains, none has such a gap; of 8 with one
+#: region and a gap of d' 6 to 19 six.
 _STRONG, _BEYOND = 5.0, 3.0
 #: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05

@@ -37,7 +37,7 @@ bench: install
 
 # Runs every notebook and draws its picture anew, beside it.
 notebooks: install
-	cd notebooks && for notebook in *.py; do ../$(BIN)/python "$$notebook"; done
+	cd notebooks && for notebook in *.py; do ../$(BIN)/python "$$notebook" || exit 1; done
 
 clean:
 	rm -rf $(VENV) petkin-demo .pytest_cache .ruff_cache .hypothesis .import_linter_cache

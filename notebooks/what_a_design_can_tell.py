@@ -15,7 +15,8 @@
 #
 # Two protocols of the same length: frames of 10 s at first, or of a minute. Which effects could each ever show, after
 # the kinetics are fitted again? d' says how far an effect at the end of its plausible range stands out of the noise
-# then: near 4 it is seen nine times in ten by one who knows where to look; below 1.5 it cannot be seen.
+# then: near 4 it is seen nine times in ten, at a level of 1 %, by one who knows where to look; below 1.5 it cannot be
+# seen.
 
 # %%
 import tempfile

@@ -31,8 +31,9 @@ _TISSUE_RATE = 0.1
 #: How what the parent fraction lacks goes with time: by a half-time of its own, or with the recorded metabolites, which
 #: come sooner than recorded, or are more.
 BY_TIME, SOONER, MORE = 0.0, 1.0, 2.0
-#: The least that a recorded fraction counts as, and one that never falls below this has no metabolites.
-_LEAST_FRACTION, _NEXT_TO_ALL = 0.02, 0.98
+#: The least that a recorded fraction counts as; one that never falls below has no metabolites; the least of late tracer
+#: that is left where metabolites come sooner.
+_LEAST_FRACTION, _NEXT_TO_ALL, _LEAST_LEFT = 0.02, 0.98, 0.02
 
 
 def _delay(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -119,8 +120,8 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
     if course != BY_TIME and before.parent_fraction is None:
         raise InputError(f"parent_fraction: course={course:g}: there is no parent fraction in this blood; give 0.")
     fraction = before.parent_fraction or PiecewiseLinear(np.array([0.0, end]), np.ones(2))
-    record, late = (fraction.forcing, float(fraction.delay)) if isinstance(fraction, Shifted) else (fraction, 0.0)
-    scan = np.linspace(0.0, float(model.clock.frames.end[-1]) - late, 512)
+    record, delay = (fraction.forcing, float(fraction.delay)) if isinstance(fraction, Shifted) else (fraction, 0.0)
+    scan = np.linspace(0.0, float(model.clock.frames.end[-1]) - delay, 512)
     most = max(float(_of_metabolites(record(scan), course).max()), 1e-12)
 
     def kept(forcing: Forcing, fraction: Forcing, end: float) -> Forcing:
@@ -134,7 +135,7 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
         if course == BY_TIME:
             return PiecewiseLinear(curve.times, before * (1.0 - lost * t**2 / (t**2 + late**2)))
         h = _of_metabolites(share, course) / most
-        odds = lost / (1.0 - lost).clip(min=_LEAST_FRACTION)
+        odds = lost / (1.0 - lost).clip(min=_LEAST_LEFT)
         return PiecewiseLinear(curve.times, before * (1.0 / (1.0 + odds * h) if course == SOONER else 1.0 - lost * h))
 
     finer = PiecewiseLinear(t := np.linspace(0.0, end, 512), fraction(t))

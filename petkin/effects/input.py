@@ -29,11 +29,11 @@ _SLOWEST_LINE = 12.0
 #: Rate of the tissue around a vessel that an image-derived input takes up from, 1/min.
 _TISSUE_RATE = 0.1
 #: How what the parent fraction lacks goes with time: by a half-time of its own, or with the recorded metabolites, which
-#: come sooner than recorded, or are more.
-BY_TIME, SOONER, MORE = 0.0, 1.0, 2.0
-#: The least that a recorded fraction counts as; one that never falls below has no metabolites; the least of late tracer
-#: that is left where metabolites come sooner.
-_LEAST_FRACTION, _NEXT_TO_ALL, _LEAST_LEFT = 0.02, 0.98, 0.02
+#: come sooner than recorded, are more, or have a steeper course.
+BY_TIME, SOONER, MORE, STEEPER = 0.0, 1.0, 2.0, 3.0
+#: The least that a recorded fraction counts as, and the least of its metabolites; one that never falls below has none;
+#: the least of late tracer that is left where metabolites come sooner, and the least that a course is raised to.
+_LEAST_FRACTION, _LEAST_LOST, _NEXT_TO_ALL, _LEAST_LEFT = 0.02, 1e-6, 0.98, 0.02
 
 
 def _delay(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -108,21 +108,22 @@ def _of_all(model: ForwardModel, change: Callable[[Forcing], Forcing]) -> Forwar
 
 def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     """C_P (1 - a h(t)), or C_P / (1 + h(t) a / (1 - a)) where metabolites come sooner: what runs k times as fast, of a
-    fraction 1 / (1 + (t / tau)^b), has odds k^b times as large."""
+    fraction 1 / (1 + (t / tau)^b), has odds k^b times as large; what is k times as steep has them to the power k."""
     loss, half, course = values["loss"], values["half_time"], values["course"]
     if not loss <= 1:
         raise InputError(
             f"parent_fraction={loss:g}: no more than all of the tracer can be metabolised; give at most 1."
         )
-    if course not in (BY_TIME, SOONER, MORE):
-        raise InputError(f"parent_fraction: course={course:g}: give 0, 1 or 2.")
+    if course not in (BY_TIME, SOONER, MORE, STEEPER):
+        raise InputError(f"parent_fraction: course={course:g}: give 0, 1, 2 or 3.")
     before, end = model.input, _end(model)
     if course != BY_TIME and before.parent_fraction is None:
         raise InputError(f"parent_fraction: course={course:g}: there is no parent fraction in this blood; give 0.")
     fraction = before.parent_fraction or PiecewiseLinear(np.array([0.0, end]), np.ones(2))
     record, delay = (fraction.forcing, float(fraction.delay)) if isinstance(fraction, Shifted) else (fraction, 0.0)
     scan = np.linspace(0.0, float(model.clock.frames.end[-1]) - delay, 512)
-    most = max(float(_of_metabolites(record(scan), course).max()), 1e-12)
+    most = _of_metabolites(record(scan), course)
+    most = float(most[abs(most).argmax()]) or 1e-12
 
     def kept(forcing: Forcing, fraction: Forcing, end: float) -> Forcing:
         if isinstance(forcing, Shifted):
@@ -134,9 +135,7 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
         t, share, before, lost, late = alike(t, fraction(t), curve.values, loss, half)
         if course == BY_TIME:
             return PiecewiseLinear(curve.times, before * (1.0 - lost * t**2 / (t**2 + late**2)))
-        h = _of_metabolites(share, course) / most
-        odds = lost / (1.0 - lost).clip(min=_LEAST_LEFT)
-        return PiecewiseLinear(curve.times, before * (1.0 / (1.0 + odds * h) if course == SOONER else 1.0 - lost * h))
+        return PiecewiseLinear(curve.times, before * _left(share, lost, course, most))
 
     finer = PiecewiseLinear(t := np.linspace(0.0, end, 512), fraction(t))
     changed = replace(
@@ -150,9 +149,26 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
 
 
 def _of_metabolites(fraction: Any, course: float) -> Any:
-    """1 - P, or (1 - P) / P, for a parent fraction P."""
-    share = fraction.clip(min=_LEAST_FRACTION, max=1.0)
-    return 1.0 - share if course == SOONER else (1.0 - share) / share
+    """h of a parent fraction P: 1 - P, (1 - P) / P, or (1 - P) ln((1 - P) / P)."""
+    share, odds = _share_and_odds(fraction)
+    if course == MORE:
+        return odds
+    return (1.0 - share) * (library(odds).log(odds) if course == STEEPER else 1.0)
+
+
+def _left(fraction: Any, lost: Any, course: float, most: float) -> Any:
+    """Part of a parent fraction that is left where its metabolites are others: 1 - a h to first order in a."""
+    if course == STEEPER:
+        share, odds = _share_and_odds(fraction)
+        return 1.0 / (share * (1.0 + odds ** (1.0 + lost / most).clip(min=_LEAST_LEFT)))
+    h = _of_metabolites(fraction, course) / most
+    return 1.0 / (1.0 + lost / (1.0 - lost).clip(min=_LEAST_LEFT) * h) if course == SOONER else 1.0 - lost * h
+
+
+def _share_and_odds(fraction: Any) -> tuple[Any, Any]:
+    """P, kept from 0 and 1, and (1 - P) / P."""
+    share = fraction.clip(min=_LEAST_FRACTION, max=1.0 - _LEAST_LOST)
+    return share, (1.0 - share) / share
 
 
 def _with_metabolites(blood: InputFunction) -> tuple[dict[str, float], ...]:
@@ -160,7 +176,7 @@ def _with_metabolites(blood: InputFunction) -> tuple[dict[str, float], ...]:
     fraction = blood.parent_fraction
     if fraction is None or float(fraction(fraction.knots).min()) > _NEXT_TO_ALL:
         return ()
-    return tuple({"half_time": 10.0, "course": course} for course in (SOONER, MORE))
+    return tuple({"half_time": 10.0, "course": course} for course in (SOONER, MORE, STEEPER))
 
 
 def _spilled(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -228,13 +244,14 @@ PARENT_FRACTION = Effect(
                 "1",
                 BY_TIME,
                 BY_TIME,
-                MORE,
-                meaning="0: by half_time; metabolites come 1: sooner, 2: to more",
+                STEEPER,
+                meaning="0: by half_time; metabolites come 1: sooner, 2: to more, 3: more steeply",
             ),
         )
     ),
     meaning="less (> 0) of the plasma is unchanged tracer than recorded, or more: C_P (1 - a h), "
-    "h = t^2 / (t^2 + t50^2), or with the recorded fraction P as (1 - P) / P (course 2), or its odds (course 1) change",
+    "h = t^2 / (t^2 + t50^2), or (1 - P) / P of the recorded fraction P (course 2); or these odds change by a factor "
+    "(course 1) or a power (course 3)",
     source="Tonietto M et al. J Cereb Blood Flow Metab 2016;36:326-339, doi:10.1177/0271678X15610585",
     change=_metabolised,
     split_by="parent fraction measured in more samples, or a second measurement of them",

@@ -410,7 +410,7 @@ def test_options_that_name_nothing_are_refused(text: str, message: str) -> None:
         "blood_volume=5",
         "second_tissue=-0.1",
         "parent_fraction=2",
-        "parent_fraction=0.3,course=3",
+        "parent_fraction=0.3,course=4",
         "parent_fraction=0.3,course=2",
         "gain_step=0.1,onset=nan",
         "attenuation_mismatch=0.1,region=3",
@@ -441,6 +441,30 @@ def test_metabolites_that_come_sooner_or_are_more(course: float, late: float, on
     assert changed.input.parent_fraction(t).tolist() == pytest.approx(expected.tolist(), rel=2e-3)
     ratio = changed.input.plasma(t) / base.input.plasma(t)
     assert ratio.tolist() == pytest.approx((expected / recorded).tolist(), rel=2e-3)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.5])
+@pytest.mark.parametrize("loss", [0.4, -0.4])
+def test_metabolites_of_a_steeper_course(loss: float, late: float, one_tissue: ForwardModel) -> None:
+    """Of a fraction 1 / (1 + (t / tau)^b) another b gives the odds another power; half of it is left at tau as before.
+    To first order in the loss the fraction loses it, where it changes most."""
+    effect = effect_named("parent_fraction")
+    t = np.linspace(0.0, 100.0, 4001)
+    recorded = 1.0 / (1.0 + (t / 4.0) ** 1.5)
+    base = able(effect, one_tissue)
+    base = dataclasses.replace(
+        base, input=dataclasses.replace(base.input, parent_fraction=PiecewiseLinear(t, recorded)).delayed(late)
+    )
+    changed = effect.inject(base, {"loss": loss, "course": 3.0})
+    assert changed.input.parent_fraction is not None
+    at = torch.tensor([2.0, 4.0, base.clock.frames.end[-1] - late], dtype=torch.float64)
+    most = float(((1.0 - recorded) * 1.5 * np.log(np.maximum(t, 1e-9) / 4.0))[t <= float(at[-1])].max())
+    steeper = 1.0 / (1.0 + (at.numpy() / 4.0) ** (1.5 * (1.0 + loss / most)))
+    assert changed.input.parent_fraction(at + late).tolist() == pytest.approx(steeper.tolist(), rel=2e-3)
+    little = effect.inject(base, {"loss": 1e-3, "course": 3.0}).input.parent_fraction
+    assert little is not None
+    fell = 1.0 - little(at + late) / base.input.parent_fraction(at + late)
+    assert float(fell.max()) == pytest.approx(1e-3, rel=0.02)
 
 
 def test_a_second_tissue_beside_a_second_tissue_is_refused(one_tissue: ForwardModel) -> None:

@@ -1,7 +1,7 @@
 """Diagnosis: where a simulator departs from data, which effect it misses, and how far that closes the gap."""
 
 from petkin.diagnosis.alone import each_alone
-from petkin.diagnosis.cohort import Cohort, Member, SharedCause, in_common
+from petkin.diagnosis.cohort import Cohort, Group, Member, SharedCause, in_common
 from petkin.diagnosis.contrasts import Best, Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
@@ -42,6 +42,7 @@ __all__ = [
     "Estimate",
     "Family",
     "Fit",
+    "Group",
     "Hypothesis",
     "Member",
     "Noise",

@@ -1,25 +1,17 @@
 """What several data sets have in common: causes that they share, in which of them, and how strong.
 
-Every member has a shared cause e with probability pi, or else what any data set may have:
-
-    log B(e) = log int prod_i [(1 - pi) b_i + pi e_i] d pi - sum_i log b_i
-
-with e_i the evidence of all explanations of member i that hold e, and b_i that of none or any of the catalogue. That
-nothing is shared is as likely beforehand as that some one of n causes is, any of them alike:
+Every member has a shared cause e with some prevalence, or what any data set may have: no gap, any one effect of the
+catalogue, or a gap of no name (see `sharing`). That nothing is shared is as likely beforehand as that some one of n
+causes is, any of them alike:
 
     P(nothing) = 1 / (1 + sum_e B(e) / n)
 
-A cause's strength is either any in each member, or about the same in all, as likely: normal about m with a spread of
-some share of it, both unknown. A member whose strength is s with error d then has, of what it had averaged over
-strengths of its own (B(t), see `evidence`),
+A gap of no name is one cause more. What some members share is then taken for theirs, and the others are asked again
+what they share, until that is nothing; and each cause once more with all the others there.
 
-    e_i exp(t^2 / 2) / B(t) N(s; m, spread^2 + d^2) / N(0; 0, d^2),    t = s / d
-
-So what is too weak in each is told by all where their strengths agree, and a member that shows none of a cause that is
-strong elsewhere does not have it weakly. Where strengths differ between channels they have nothing in common. The mean
-strength that is said is that of DerSimonian and Laird; its interval is theirs, or that of Student's t with the spread
-that is seen (Hartung, Knapp), whichever is wider: a spread that few members tell is itself unsure. An error that all
-members have alike is not averaged away.
+The mean strength that is said is that of DerSimonian and Laird; its interval is theirs, or that of Student's t with the
+spread that is seen (Hartung, Knapp), whichever is wider: a spread that few members tell is itself unsure. An error that
+all members have alike is not averaged away.
 
 Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Clin Trials 1986;7:177-188; Knapp G,
 Hartung J. Stat Med 2003;22:2693-2710.
@@ -36,24 +28,23 @@ from scipy.special import stdtrit
 
 from petkin.diagnosis.any_gap import any_gap
 from petkin.diagnosis.detect import CLAIM, AgainstNoise
-from petkin.diagnosis.evidence import SECOND, one_sided, two_sided
+from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.how_far import Interval
-from petkin.diagnosis.sets import smallest_set
-from petkin.diagnosis.verdict import Z90, Diagnosis, Estimate, Strength
+from petkin.diagnosis.sets import in_place_of, smallest_set
+from petkin.diagnosis.sharing import LEAST_ERROR, Mixture, about_the_same, error_of, mixture
+from petkin.diagnosis.verdict import Z90, Diagnosis, Strength
 
 Array = NDArray[np.float64]
 
-#: Prevalences tried, from where a cause is shared rather than chance; the chance that a member without it has no gap.
-_PREVALENCES = np.linspace(0.15, 0.99, 43)
+#: The chance that a member without a shared cause has no gap.
 _NO_GAP = 0.5
-_TAILS = (0.05, 0.95)
-_LISTED, _NEGLIGIBLE = 8, 0.005
-#: The least standard deviation that a strength is taken to have, in its unit.
-_LEAST_ERROR = 1e-6
+_LISTED, _NEGLIGIBLE, _TAIL = 8, 0.005, 0.95
 #: Probability from which on a member's strength counts among the carriers'.
 _CARRY = 0.5
-#: A strength in common: in units of the median error, and by how much of itself it differs between members.
-_COMMON, _SPREADS = np.geomspace(0.8, 80.0, 60), (0.2, 0.4)
+#: Causes that different members share, at most, and the probability of nothing below which there is one beside others.
+_GROUPS, _HARDLY = 3, 0.1
+#: What a gap of no name is called among labels.
+UNNAMED = ""
 
 
 @dataclass(frozen=True)
@@ -67,6 +58,7 @@ class Member:
         strengths: of single effects.
         alike: cosines by pair of explanations.
         against: what speaks for a gap, against draws of noise.
+        unnamed: log evidence of a gap of no name.
     """
 
     label: str
@@ -75,16 +67,21 @@ class Member:
     strengths: Mapping[str, Strength]
     alike: Mapping[frozenset[str], float]
     against: AgainstNoise
+    unnamed: float = -np.inf
 
     @classmethod
     def of(cls, label: str, found: Diagnosis) -> Member:
         """A diagnosis as a member of a cohort."""
         evidence = {name: value for name, (_, value) in found.evidence.items()}
         evidence |= {cause.label: cause.log_evidence for cause in found.likely}
-        return cls(label, found.p_value, evidence, found.strengths, found.alike, found.against)
+        unnamed = in_place_of([*evidence.values()], found.unknown_evidence)
+        return cls(label, found.p_value, evidence, found.strengths, found.alike, found.against, unnamed)
 
     def holding(self, names: Sequence[str]) -> float:
-        """Log evidence of all explanations that hold these effects, averaged over the pairs a second could make."""
+        """Log evidence of all explanations that hold these effects, averaged over the pairs a second could make; of
+        none of them where there are no effects."""
+        if not names:
+            return self.unnamed
         within = [value for label, value in self.evidence.items() if set(names) <= set(label.split("+"))]
         if len(names) == 2 and not within:
             return max(self.evidence.get(name, 0.0) for name in names) - SECOND
@@ -92,10 +89,11 @@ class Member:
 
     @property
     def background(self) -> float:
-        """Log evidence of no effect, or any one, alone or with any second, as `holding` has it of the likeliest."""
-        singles = sum("+" not in label for label in self.evidence)
-        explained = np.array([value + np.log(1 + label.count("+")) for label, value in self.evidence.items()])
-        any_cause = np.log(1 - _NO_GAP) + float(np.logaddexp.reduce(explained)) - np.log(singles)
+        """Log evidence of no effect, or any one, alone or with any second, as `holding` has it of the likeliest, or a
+        gap of no name."""
+        causes = 1 + sum("+" not in label for label in self.evidence)
+        explained = [value + np.log(1 + label.count("+")) for label, value in self.evidence.items()]
+        any_cause = np.log(1 - _NO_GAP) + float(np.logaddexp.reduce([*explained, self.unnamed])) - np.log(causes)
         return float(np.logaddexp(np.log(_NO_GAP), any_cause))
 
 
@@ -104,7 +102,7 @@ class SharedCause:
     """A cause that several members may share.
 
     Args:
-        effects: names, one or two.
+        effects: names, one or two; none of a gap of no name.
         probability: that it is what they share.
         log_evidence: against nothing shared.
         prevalence: share of the members that have it.
@@ -129,32 +127,82 @@ class SharedCause:
 
 
 @dataclass(frozen=True)
+class Group:
+    """What some members share.
+
+    Args:
+        causes: that it may be, likeliest first.
+        unnamed: a gap of no name.
+        unshared: probability that it is nothing.
+        chosen: names in the verdict's set; none where it is no name, or nothing.
+        set_probability: of the set.
+    """
+
+    causes: tuple[SharedCause, ...]
+    unnamed: SharedCause
+    unshared: float
+    chosen: tuple[str, ...]
+    set_probability: float
+
+    @property
+    def leader(self) -> SharedCause | None:
+        """What it is; None where it is rather nothing."""
+        if self.unshared >= 0.5:
+            return None
+        return self.causes[0] if self.chosen else self.unnamed
+
+
+@dataclass(frozen=True)
 class Cohort:
     """What a cohort shares.
 
     Args:
         members: in order.
         p_value: of no gap in any of them.
-        causes: likeliest first.
-        unshared: probability that nothing is shared.
-        chosen: names in the verdict's set.
-        set_probability: of the set.
+        groups: what members share, that with the most evidence first; one at least, which may be nothing.
     """
 
     members: tuple[Member, ...]
     p_value: float
-    causes: tuple[SharedCause, ...]
-    unshared: float
-    chosen: tuple[str, ...]
-    set_probability: float
+    groups: tuple[Group, ...]
 
     @property
     def present(self) -> bool:
         return self.p_value <= CLAIM
 
     @property
+    def causes(self) -> tuple[SharedCause, ...]:
+        """Of the first group, where there is a gap."""
+        return self.groups[0].causes if self.present else ()
+
+    @property
+    def unshared(self) -> float:
+        """Probability that nothing is shared."""
+        return self.groups[0].unshared
+
+    @property
+    def chosen(self) -> tuple[str, ...]:
+        """Names in the verdict's set."""
+        return self.groups[0].chosen if self.present else ()
+
+    @property
+    def set_probability(self) -> float:
+        return self.groups[0].set_probability if self.present else 0.0
+
+    @property
+    def further(self) -> tuple[Group, ...]:
+        """What other members share that has a name."""
+        return tuple(group for group in self.groups[1:] if group.chosen) if self.present else ()
+
+    @property
+    def unnamed(self) -> SharedCause | None:
+        """The gap of no name that some share."""
+        leaders = [group.leader for group in self.groups] if self.present else []
+        return next((leader for leader in leaders if leader is not None and not leader.effects), None)
+
+    @property
     def kind(self) -> str:
-        """none, named, ambiguous or unknown (gaps, but nothing that they share)."""
+        """none, named, ambiguous or unknown (of no name, or gaps but nothing that they share)."""
         if not self.present:
             return "none"
         if not self.chosen:
@@ -168,19 +216,45 @@ def in_common(members: Sequence[Member]) -> Cohort:
     Args:
         members: two or more.
     """
-    background = np.array([m.background for m in members])
-    labels = list(dict.fromkeys(label for m in members for label in m.evidence))
-    found = [_judged(label, members, background) for label in labels]
-    probability, unshared = _probabilities({c.label: c.log_evidence for c in found})
-    ranked = sorted(found, key=lambda c: -c.log_evidence)
-    listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE and c.log_evidence > 0][:_LISTED]
+    bare = np.array([m.background for m in members])
+    first = _asked(members, bare)
+    leaders: list[SharedCause] = []
+    asked = first
+    while asked.leader is not None and len(leaders) < _GROUPS and (not leaders or asked.unshared < _HARDLY):
+        leaders.append(asked.leader)
+        asked = _asked(members, _beside(members, bare, leaders))
+    groups = [first]
+    if len(leaders) > 1:
+        groups = [_asked(members, _beside(members, bare, [o for o in leaders if o is not own])) for own in leaders]
+        groups = sorted((group for group in groups if group.unshared < _HARDLY), key=_most, reverse=True) or [first]
     p = any_gap([m.p_value for m in members], [m.against for m in members])
+    return Cohort(tuple(members), p, tuple(groups))
+
+
+def _most(group: Group) -> float:
+    return max([group.unnamed.log_evidence, *(cause.log_evidence for cause in group.causes)])
+
+
+def _asked(members: Sequence[Member], background: Array) -> Group:
+    """What members share of which each may have such a background (N,) instead."""
+    labels = list(dict.fromkeys(label for m in members for label in m.evidence))
+    found = {label: _judged(label, members, background) for label in (*labels, UNNAMED)}
+    probability, unshared = _probabilities({label: c.log_evidence for label, c in found.items()})
+    ranked = sorted(labels, key=lambda label: -found[label].log_evidence)
+    listed = [name for name in ranked if probability[name] > _NEGLIGIBLE and found[name].log_evidence > 0][:_LISTED]
     chosen: tuple[str, ...] = ()
-    if p <= CLAIM and unshared < 0.5 and listed:
-        chosen = smallest_set({c.label: probability[c.label] for c in listed}, _alike(members))
-    causes = tuple(replace(c, probability=probability[c.label]) for c in listed)
+    if unshared < 0.5 and probability[UNNAMED] < 0.5 * (1.0 - unshared) and listed:
+        chosen = smallest_set({name: probability[name] for name in listed}, _alike(members))
+    said = {label: replace(found[label], probability=probability[label]) for label in (*listed, UNNAMED)}
     total = sum(probability[name] for name in chosen)
-    return Cohort(tuple(members), p, causes if p <= CLAIM else (), unshared, chosen, total)
+    return Group(tuple(said[name] for name in listed), said[UNNAMED], unshared, chosen, total)
+
+
+def _beside(members: Sequence[Member], background: Array, causes: Sequence[SharedCause]) -> Array:
+    """Log evidence of members (N,) who have such causes, or not."""
+    for cause in causes:
+        background = _shared(cause.label, members, background).beside
+    return background
 
 
 def _probabilities(evidence: Mapping[str, float]) -> tuple[dict[str, float], float]:
@@ -194,16 +268,22 @@ def _probabilities(evidence: Mapping[str, float]) -> tuple[dict[str, float], flo
     return {name: float(np.exp(value - total)) for name, value in zip(evidence, logs)}, float(np.exp(-total))
 
 
+def _shared(label: str, members: Sequence[Member], background: Array) -> Mixture:
+    own = np.array([m.holding(_names(label)) for m in members])
+    return mixture(own, about_the_same(own, [m.strengths.get(label) for m in members]), background)
+
+
+def _names(label: str) -> tuple[str, ...]:
+    return tuple(label.split("+")) if label != UNNAMED else ()
+
+
 def _judged(label: str, members: Sequence[Member], background: Array) -> SharedCause:
     """One cause with its evidence; its probability is not known yet."""
-    names = tuple(label.split("+"))
-    own = np.array([m.holding(names) for m in members])
-    strengths = [m.strengths.get(label) for m in members]
-    found = _mixture(own, _about_the_same(own, strengths), background)
-    known = [s for s, share in zip(strengths, found.carriers) if s is not None and share > _CARRY]
+    found = _shared(label, members, background)
+    known = [m.strengths[label] for m, s in zip(members, found.carriers) if label in m.strengths and s > _CARRY]
     pooled = _pooled(known)
     return SharedCause(
-        names,
+        _names(label),
         0.0,
         found.log_evidence,
         found.prevalence,
@@ -212,50 +292,6 @@ def _judged(label: str, members: Sequence[Member], background: Array) -> SharedC
         None if pooled is None else pooled.between,
         known[0].unit if known else "",
     )
-
-
-@dataclass(frozen=True)
-class _Mixture:
-    """Members that have a cause with some prevalence, or what any data set may have."""
-
-    log_evidence: float
-    prevalence: Interval
-    carriers: Array
-
-
-def _mixture(own: Array, common: Array, background: Array) -> _Mixture:
-    """Of members' evidence with strengths of their own (N,), and with each of some they have in common (S, N)."""
-    every = np.concatenate([own[None], common])
-    share = np.full(len(every), np.log(0.5 / max(len(common), 1)))
-    share[0] = np.log(0.5 if len(common) else 1.0)
-    having = np.log(_PREVALENCES)[:, None] + every[:, None]
-    mixed = np.logaddexp(np.log1p(-_PREVALENCES)[:, None] + background, having)
-    logs = share[:, None] + (mixed - background).sum(axis=-1)
-    total = float(np.logaddexp.reduce(logs, axis=None))
-    weight = np.exp(logs - total)
-    by_prevalence = weight.sum(axis=0)
-    low, high = np.interp(_TAILS, np.cumsum(by_prevalence), _PREVALENCES)
-    return _Mixture(
-        total - float(np.log(_PREVALENCES.size)),
-        Interval(float(by_prevalence @ _PREVALENCES), float(low), float(high)),
-        np.einsum("sp,spn->n", weight, np.exp(having - mixed)),
-    )
-
-
-def _about_the_same(own: Array, strengths: Sequence[Strength | None]) -> Array:
-    """Members' evidence at each of the strengths and spreads that they may have in common (S, N); no rows where there
-    is no such strength."""
-    known = [s for s in strengths if s is not None and s.single]
-    if len(known) < len(strengths):
-        return np.zeros((0, own.size))
-    values, errors = np.array([s.value for s in known]), np.array([_error(s) for s in known])
-    signed, t = known[0].signed, values / errors
-    best = own + 0.5 * t**2 - (two_sided(t) if signed else one_sided(t))
-    mean = _COMMON * np.median(errors)
-    mean = np.concatenate([mean, -mean]) if signed else mean
-    each = mean[:, None, None]
-    wide = (np.array(_SPREADS)[:, None] * each) ** 2 + errors**2
-    return (best - 0.5 * (np.log(wide / errors**2) + (values - each) ** 2 / wide)).reshape(-1, own.size)
 
 
 @dataclass(frozen=True)
@@ -275,7 +311,7 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
         return None
     values = np.array([s.value for s in strengths])
     alike = np.array([s.alike for s in strengths])
-    variance = np.maximum(np.array([_error(s) for s in strengths]) ** 2 - (alike * values) ** 2, _LEAST_ERROR**2)
+    variance = np.maximum(np.array([error_of(s) for s in strengths]) ** 2 - (alike * values) ** 2, LEAST_ERROR**2)
     weight = 1.0 / variance
     fixed = (weight @ values) / weight.sum()
     excess = weight @ (values - fixed) ** 2 - (len(values) - 1)
@@ -283,13 +319,9 @@ def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
     weight = 1.0 / (variance + spread)
     mean = float((weight @ values) / weight.sum())
     seen = (weight @ (values - mean) ** 2) / (len(values) - 1)
-    own = max(Z90, stdtrit(len(values) - 1, _TAILS[1]) * np.sqrt(seen)) * weight.sum() ** -0.5
+    own = max(Z90, stdtrit(len(values) - 1, _TAIL) * np.sqrt(seen)) * weight.sum() ** -0.5
     half = float(np.hypot(own, Z90 * alike.max() * mean))
     return _Pooled(Interval(mean, mean - half, mean + half), float(np.sqrt(spread)))
-
-
-def _error(strength: Estimate) -> float:
-    return max((strength.high - strength.low) / (2.0 * Z90), _LEAST_ERROR)
 
 
 def _alike(members: Sequence[Member]) -> dict[frozenset[str], float]:

@@ -23,6 +23,8 @@ from petkin.diagnosis.verdict import Z90
 Array = NDArray[np.float64]
 
 _TINY = 1e-300
+#: Log evidence from which on a name that contrasts see may be what a gap of no name is.
+_SEEN = 1.0
 #: Share of its nuisance that a family keeps where a size is read: what is told of nuisance is told without the effect,
 #: which makes it large. With all of it 27 motions of training images err by 0.20 in the logarithm, with this by 0.15.
 _KEPT = 0.25
@@ -139,7 +141,7 @@ def judge_contrasts(
         alone, null, left = judge_departures(departures, named, least=least, draws=draws, rng=rng)
         departed = np.append(alone, null)
         observed, drawn = [*observed, alone], [*drawn, null]
-        unnamed = min([alone, *(found[name] + beyond for name, beyond in left.items() if found[name] > 0.0)])
+        unnamed = min([alone, *(found[name] + beyond for name, beyond in left.items() if found[name] > _SEEN)])
     p = p_value(_mean(np.array(observed)[:, None])[0], _mean(np.stack(drawn)))
     evidence_of = {name: float(value) for name, value in found.items()}
     return Contrasted(evidence_of, settings, best, p, unnamed, nulls, departed)

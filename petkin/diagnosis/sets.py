@@ -38,6 +38,12 @@ def probabilities(
     return {name: float(p) for name, p in zip(evidence, (1.0 - none) * share)}, none
 
 
+def in_place_of(named: Sequence[float], unknown: float) -> float:
+    """Log evidence of a gap of no name beside that of names, as much beyond or below them as it has proven to mean."""
+    together = float(np.logaddexp.reduce(named))
+    return together + _STEEPNESS * (unknown - together)
+
+
 def confusability(effects: Sequence[Array], projection: Projection) -> Array:
     """|cosine| between what effects add to the whitened data, after the projection (n, n)."""
     columns = np.stack(effects, axis=1)

@@ -32,9 +32,16 @@ def render_cohort_report(report: CohortReport) -> str:
     answer = report.answer
     grade = {"none": "clear", "named": "care", "ambiguous": "care", "unknown": "unusable"}[answer["verdict"]["kind"]]
     with drawing():
-        pictures = [_carriers(answer), *_strengths(answer)] if answer["causes"] else []
+        shared = [answer["causes"], *(group["causes"] for group in answer["further"])]
+        pictures = [_carriers(answer), *(p for causes in shared for p in _strengths(causes))] if _all(answer) else []
         page = environment().get_template("cohort_report.html.j2")
         return page.render(report=report, answer=answer, pictures=pictures, grade=grade)
+
+
+def _all(answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """Everything that may be shared, what the first scans share first."""
+    unnamed = [answer["unnamed"]] if answer["unnamed"] is not None else []
+    return [*answer["causes"], *(cause for group in answer["further"] for cause in group["causes"]), *unnamed]
 
 
 def _carriers(answer: dict[str, Any]) -> Picture:
@@ -42,7 +49,7 @@ def _carriers(answer: dict[str, Any]) -> Picture:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    causes, members = answer["causes"][:_SHOWN], answer["members"][:_MANY]
+    causes, members = _all(answer)[:_SHOWN], answer["members"][:_MANY]
     table = np.array([[m["probability"] for m in c["members"][:_MANY]] for c in causes]).T
     height = 1.6 + _ROW * len(members)
     figure = new_figure(7.0, height)
@@ -50,7 +57,7 @@ def _carriers(answer: dict[str, Any]) -> Picture:
     colouring = ScalarMappable(Normalize(0, 1), "viridis")
     ax.imshow(np.asarray(colouring.to_rgba(table)), aspect="auto", interpolation="none")
     ax.set_yticks(range(len(members)), [drawable(m["subject"]) for m in members], fontsize=7)
-    labels = [drawable("+".join(c["effects"]), 30) for c in causes]
+    labels = [drawable("+".join(c["effects"]), 30) or "no name" for c in causes]
     ax.set_xticks(range(len(causes)), labels, rotation=25, ha="right", fontsize=7)
     ax.tick_params(length=0)
     bar = figure.colorbar(colouring, cax=figure.add_axes((0.87, 1.35 / height, 0.02, (height - 1.45) / height)))
@@ -59,9 +66,11 @@ def _carriers(answer: dict[str, Any]) -> Picture:
     return picture(figure, alt=alt, heading="Which scans share which cause")
 
 
-def _strengths(answer: dict[str, Any]) -> list[Picture]:
+def _strengths(causes: list[dict[str, Any]]) -> list[Picture]:
     """The leading cause in every scan where it was fitted, with the mean over scans."""
-    leader = answer["causes"][0]
+    if not causes:
+        return []
+    leader = causes[0]
     known = [m for m in leader["members"] if m["amplitude"] is not None][:_MANY]
     if leader["amplitude"] is None or len(known) < 2:
         return []

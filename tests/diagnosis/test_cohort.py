@@ -189,6 +189,60 @@ def test_a_pair_that_one_member_has_is_not_what_all_share() -> None:
     assert in_common([*usual, odd]).causes[0].carriers[-1] < 0.1
 
 
+def told_of(evidence: list[dict[str, float]], unnamed: float | list[float] = -3.0) -> Cohort:
+    """Members with this evidence of some causes, and little of thirty others."""
+    usual = {f"cause{k}": -1.0 for k in range(30)}
+    of_none = [unnamed] * len(evidence) if isinstance(unnamed, float) else unnamed
+    return in_common(
+        [
+            Member(f"m{i}", 0.001, usual | each, {}, {}, NOISE, none)
+            for i, (each, none) in enumerate(zip(evidence, of_none, strict=True))
+        ]
+    )
+
+
+def test_two_causes_in_two_groups_are_both_named() -> None:
+    """Each with its own members; what looks like the first is its alternative, not the second group's."""
+    one, other, neither = {"cause1": 20.0, "cause2": 19.5}, {"cause3": 15.0}, {}
+    order = [one, other, neither, one, other, one, other, neither, one, other]
+    cohort = told_of(order)
+    found = {group.chosen: group.causes[0].carriers > 0.5 for group in cohort.groups}
+    assert set(found) == {("cause1", "cause2"), ("cause3",)}
+    np.testing.assert_array_equal(found["cause1", "cause2"], [each == one for each in order])
+    np.testing.assert_array_equal(found["cause3",], [each == other for each in order])
+    assert cohort.further == cohort.groups[1:]
+    assert cohort.unnamed is None
+
+
+def test_one_cause_in_all_is_no_second_one() -> None:
+    cohort = told_of([{"cause1": 15.0, "cause2": 12.0}] * 8)
+    assert len(cohort.groups) == 1
+    assert cohort.further == ()
+    assert cohort.chosen[0] == "cause1"
+
+
+def test_members_of_whom_no_name_explains_the_gap_share_one_of_no_name() -> None:
+    """However far ahead of no gap the best name is in each."""
+    cohort = told_of([{"cause1": 12.0}, {"cause1": 25.0}, {"cause1": 8.0}, {"cause1": 17.0}], [18.0, 32.0, 14.0, 20.0])
+    assert cohort.kind == "unknown"
+    assert cohort.chosen == ()
+    assert cohort.unnamed is not None
+    assert (cohort.unnamed.carriers > 0.9).all()
+
+
+def test_a_gap_of_no_name_may_stand_beside_a_shared_cause() -> None:
+    cohort = told_of([{"cause1": 20.0}] * 5 + [{"cause2": 8.0}] * 4, [5.0] * 5 + [20.0] * 4)
+    assert cohort.chosen == ("cause1",)
+    assert cohort.unnamed is not None
+    np.testing.assert_array_equal(cohort.unnamed.carriers > 0.5, [False] * 5 + [True] * 4)
+
+
+def test_one_member_with_a_gap_of_no_name_shares_it_with_none() -> None:
+    cohort = told_of([{}] * 7, [40.0] + [-3.0] * 6)
+    assert cohort.unnamed is None
+    assert cohort.unshared > 0.5
+
+
 def test_sizes_in_other_channels_or_units_have_no_mean() -> None:
     one = Strength("amplitude", "1", 0.1, 0.05, 0.15, signed=True, single=False, channel="putamen")
     assert _pooled([one, replace(one, value=0.12)]) is not None

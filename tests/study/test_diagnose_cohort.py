@@ -46,6 +46,13 @@ def test_it_names_the_step_and_its_carriers(found: tuple[Diagnosed, ...]) -> Non
     assert leader["amplitude"]["low"] < 0.05 < leader["amplitude"]["high"]
 
 
+def test_nothing_else_is_shared(found: tuple[Diagnosed, ...]) -> None:
+    answer = found[-1].answer
+    assert answer["further"] == []
+    assert answer["unnamed"] is None
+    assert "Beside it" not in answer["verdict"]["sentence"]
+
+
 def test_the_page_links_to_every_scan(found: tuple[Diagnosed, ...]) -> None:
     group = found[-1]
     page = group.report.read_text()

@@ -10,7 +10,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from petkin.study.diagnosis.picture import Picture, Voxels
-from petkin.study.diagnosis.variation import Variation
+from petkin.study.diagnosis.variation import Variation, Weighed
 from petkin.study.diagnosis.voxel_noise import VoxelNoise
 
 SHAPE, EDGE, FRAMES, LENGTH = (24, 16, 14), 5.0, 12, 15.0
@@ -72,18 +72,40 @@ def test_the_size_of_what_varies_is_found(spread: float) -> None:
     assert 0.7 * spread < np.sqrt(np.median(found)) < 1.4 * spread
 
 
-def test_contrasts_scatter_as_foretold() -> None:
-    """Over images whose kinetics vary, t^2 of a contrast is one on average."""
+@pytest.mark.parametrize("parted", [False, True])
+def test_contrasts_scatter_as_foretold(parted: bool) -> None:
+    """Over images whose kinetics vary, t^2 of a contrast is one on average, whole or in two parts."""
     rng = np.random.default_rng(2)
     squares = []
     for _ in range(40):
         voxels = voxels_of(rng, 0.1)
         weights = along(voxels)
-        columns = variation_of(voxels, weights).columns(weights).reshape(-1, LEVELS.size)
-        covariance = np.eye(LEVELS.size) + columns.T @ columns
-        rows = voxels.sums(weights).ravel()
+        variation, noise = variation_of(voxels, weights), voxels.picture.grain.between(weights)
+        each = variation.parted(voxels, Weighed(weights, noise)) if parted else weights[None]
+        columns = variation.joint(each, np.arange(2)).reshape(-1, len(each) * LEVELS.size)
+        covariance = np.kron(voxels.picture.grain.between(each), np.eye(FRAMES)) + columns.T @ columns
+        rows = np.concatenate([voxels.sums(one) for one in each]).ravel()
         squares.append(rows @ np.linalg.solve(covariance, rows) / rows.size)
     assert np.mean(squares) == pytest.approx(1.0, abs=0.15)
+
+
+def test_one_part_of_a_contrast_sees_no_smooth_field() -> None:
+    """Both parts are of unit length and together hold the weights; a field as smooth as kinetics stays with one."""
+    rng = np.random.default_rng(4)
+    voxels = voxels_of(rng, 0.2)
+    edges = np.where(np.nonzero(voxels.inside)[1] % 8 < 4, 1.0, -1.0)
+    weights = voxels.centred(edges + 3.0 * along(voxels) * voxels.place.size**0.5)
+    noise = voxels.picture.grain.between(weights)
+    rough, even = variation_of(voxels, weights).parted(voxels, Weighed(weights, noise))
+    for region in (0, 1):
+        mine = voxels.place == region
+        assert rough[mine] @ rough[mine] == pytest.approx(1.0)
+        both = np.stack([rough[mine], even[mine]], axis=1)
+        left = weights[mine] - both @ np.linalg.lstsq(both, weights[mine], rcond=None)[0]
+        assert np.abs(left).max() < 1e-9
+    fields = np.stack([smooth(rng) for _ in range(20)])
+    seen_rough, seen_even = (np.square(fields @ each).mean() for each in (rough, even))
+    assert seen_rough < 0.05 * seen_even
 
 
 def test_decoys_are_blind_to_what_the_weights_see() -> None:

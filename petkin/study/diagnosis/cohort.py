@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from petkin import __version__
-from petkin.diagnosis import Cohort, SharedCause
+from petkin.diagnosis import CLAIM, Cohort, Group, SharedCause
 from petkin.effects import effect_named
 from petkin.study.diagnosis.answer import rounded, words
 
@@ -14,6 +14,8 @@ SCHEMA = "petkin-gap-cohort/1"
 #: A scan that carries the cause with more than this probability is counted; for sure with more than the other, as one
 #: that says nothing of it carries it with the probability that any of them does.
 _CARRIES, _SURELY = 0.5, 0.9
+#: So many scans with a gap of their own are called by name.
+_FEW = 3
 
 
 def cohort_answer(found: Cohort, answers: Sequence[dict[str, Any]], *, seed: int, seconds: float) -> dict[str, Any]:
@@ -25,6 +27,15 @@ def cohort_answer(found: Cohort, answers: Sequence[dict[str, Any]], *, seed: int
             "gap": {"present": found.present, "p_value": found.p_value},
             "members": [_member(member.label, one) for member, one in zip(found.members, answers, strict=True)],
             "causes": [_cause(cause, found) for cause in found.causes],
+            "further": [
+                {
+                    "causes": [_cause(cause, found) for cause in group.causes],
+                    "set": list(group.chosen),
+                    "set_probability": group.set_probability,
+                }
+                for group in found.further
+            ],
+            "unnamed": None if found.unnamed is None else _cause(found.unnamed, found),
             "verdict": {
                 "kind": found.kind,
                 "set": list(found.chosen),
@@ -74,28 +85,53 @@ def _strength(strength: Any) -> dict[str, Any] | None:
 
 
 def _split_by(found: Cohort) -> str | None:
-    if found.kind != "ambiguous":
-        return None
-    names = [name for label in found.chosen for name in label.split("+")]
-    return next((text for name in names if (text := effect_named(name).split_by)), "a longer or a second scan")
+    ambiguous = [group.chosen for group in _named(found) if len(group.chosen) > 1]
+    names = [name for chosen in ambiguous for label in chosen for name in label.split("+")]
+    advice = (text for name in names if (text := effect_named(name).split_by))
+    return next(advice, "a longer or a second scan") if names else None
+
+
+def _named(found: Cohort) -> list[Group]:
+    """What members share that has a name, in order."""
+    first = (found.groups[0],) if found.chosen else ()
+    return [*first, *found.further]
 
 
 def sentence(found: Cohort) -> str:
-    """The verdict on the cohort in one sentence."""
+    """The verdict on the cohort in one sentence for everything that is shared."""
     count = len(found.members)
     if found.kind == "none":
         return f"The simulator explains these {count} scans: no gap beyond the noise (p = {found.p_value:.2g})."
-    if found.kind == "unknown":
-        return f"There are gaps (p = {found.p_value:.2g}) but no cause that these {count} scans share."
-    leader = found.causes[0]
-    carriers, surely = (int((leader.carriers > share).sum()) for share in (_CARRIES, _SURELY))
-    by = f"{surely} to {carriers}" if 0 < surely < carriers else str(carriers)
+    told = [_of_group(group, count) for group in _named(found)]
+    if found.unnamed is not None:
+        holding = f"{_number(found.unnamed)} of {count} scans hold a gap that no effect of the catalogue explains"
+        told.insert(len(told) if found.chosen else 0, f"{holding} (p = {found.p_value:.2g}).")
+    if not told:
+        return f"There are gaps (p = {found.p_value:.2g}) but no cause that these {count} scans share{_alone(found)}."
+    return " Beside it: ".join([told[0], " ".join(told[1:])] if len(told) > 1 else told)
+
+
+def _alone(found: Cohort) -> str:
+    """The few scans that have a gap of their own."""
+    labels = [member.label for member in found.members if member.p_value <= CLAIM]
+    if not 0 < len(labels) <= _FEW:
+        return ""
+    return f"; by {'itself' if len(labels) == 1 else 'themselves'}: {', '.join(labels)}"
+
+
+def _number(cause: SharedCause) -> str:
+    carriers, surely = (int((cause.carriers > share).sum()) for share in (_CARRIES, _SURELY))
+    return f"{surely} to {carriers}" if 0 < surely < carriers else str(carriers)
+
+
+def _of_group(group: Group, count: int) -> str:
+    leader = group.causes[0]
     size = ""
     if leader.mean is not None:
         unit = "" if leader.unit == "1" else f" {leader.unit}"
         size = f", {leader.mean.value:.3g}{unit} on average ({leader.mean.low:.3g} to {leader.mean.high:.3g})"
-    text = f"{words(leader.label).capitalize()} is shared by {by} of {count} scans{size}"
-    if found.kind == "named":
+    text = f"{words(leader.label).capitalize()} is shared by {_number(leader)} of {count} scans{size}"
+    if len(group.chosen) == 1:
         return f"{text}."
-    others = " or ".join(words(label) for label in found.chosen[1:])
+    others = " or ".join(words(label) for label in group.chosen[1:])
     return f"{text}; these data cannot split it from {others}."

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis import Departure, Family, holding
+from petkin.study.diagnosis.joint import added, beside, there
 from petkin.study.diagnosis.picture import Voxels
 
 Array = NDArray[np.float64]
@@ -66,21 +67,21 @@ def departures(
     found = []
     for fields, windows in _fields(voxels):
         weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
-        rows = _stacked([voxels.beside(each)[regions] for each in weights])
+        rows = beside(voxels, weights, regions)
         every, parts = (
             added(voxels, weights, regions, (field[:, None] * voxels.seen for field in each))
             for each in (fields, windows)
         )
         shown, most = ((rows**2).sum(axis=(1, 2)) for rows in (parts, every))
         parts = parts[shown > _HARDLY * most.max()]
-        beside = {
+        known = {
             name: (added(voxels, weights, regions, a), added(voxels, weights, regions, b))
             for name, (a, b) in named.items()
         }
         nuisance = np.concatenate([each(weights, regions) for each in held])
         bare = Family(rows, nuisance, np.eye(len(rows)))
-        family = holding(bare, _there(voxels, weights, regions), least, times=_TIMES)
-        found.append(Departure(family, every, np.maximum(times, 0.0), parts, beside))
+        family = holding(bare, there(voxels, weights, regions), least, times=_TIMES)
+        found.append(Departure(family, every, np.maximum(times, 0.0), parts, known))
     return found
 
 
@@ -116,32 +117,6 @@ def _windows(u: Array) -> Iterator[Array]:
 def _largest(voxels: Voxels) -> NDArray[np.intp]:
     """Places of the largest regions, in their order."""
     return np.sort(np.argsort(-np.bincount(voxels.place), kind="stable")[:_REGIONS])
-
-
-def added(voxels: Voxels, weights: Array, regions: NDArray[np.intp], maps: Iterable[Array]) -> Array:
-    """What maps (N, M) add to the contrasts of some regions (maps, F R, K)."""
-    courses, spread = voxels.picture.courses, voxels.spread[regions]
-    places = [np.flatnonzero(voxels.place == r) for r in regions]
-    own = [weights[:, place] for place in places]
-    rows = []
-    for each in maps:
-        held = np.stack([seen @ each[place] for seen, place in zip(own, places)], axis=1)
-        rows.append((held @ courses / spread).reshape(-1, courses.shape[1]))
-    return np.stack(rows) if rows else np.zeros((0, len(weights) * len(regions), courses.shape[1]))
-
-
-def _stacked(rows: list[Array]) -> Array:
-    return np.concatenate(rows, axis=-2)
-
-
-def _there(voxels: Voxels, weights: Array, regions: NDArray[np.intp]) -> Array:
-    """What each contrast may hold of an image that stays as it is, for itself (n, F R, K)."""
-    fields, frames = len(weights), voxels.spread.shape[1]
-    columns = np.zeros((fields, len(regions), voxels.seen.shape[1], fields, len(regions), frames))
-    for f, own in enumerate(weights):
-        each = voxels.there(own).reshape(*voxels.spread.shape[:1], -1, *voxels.spread.shape)
-        columns[f, :, :, f] = each[regions][:, :, regions]
-    return columns.reshape(-1, fields * len(regions), frames)
 
 
 def _apart(voxels: Voxels, weights: Array, least: float) -> Array:

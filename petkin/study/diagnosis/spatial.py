@@ -24,6 +24,7 @@ from petkin.effects.imaging import after
 from petkin.study.diagnosis.drawing import Predicted
 from petkin.study.diagnosis.fields import Maps, departures
 from petkin.study.diagnosis.gone import Gone
+from petkin.study.diagnosis.joint import added, beside, there
 from petkin.study.diagnosis.moving import apart, less
 from petkin.study.diagnosis.onsets import onsets
 from petkin.study.diagnosis.picture import Voxels
@@ -144,25 +145,24 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     width = predicted.width(sums, patterns)
     drawn = predicted.seen(width)[voxels.inside]
     scene = Scene(replace(voxels, drawn=drawn))
-    contrasts = _contrasts(scene)
+    contrasts, calm = _contrasts(scene), replace(still, drawn=drawn)
+    variation = Variation.of(calm, contrasts)
+    contrasts = [replace(each, pair=variation.parted(calm, each)) for each in contrasts]
     patterns += [pattern for contrast in contrasts for pattern in _patterns(contrast, scene, simulator)]
     patterns = [pattern for pattern in patterns if pattern.name in names]
-    added = _named(scene, contrasts)
+    named = _named(scene, contrasts)
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
 
-    calm = replace(still, drawn=drawn)
-
-    def asked(still: Voxels) -> Contrasted:
-        varying, variation = Variation.of(still, [blurring]), Variation.of(still, contrasts)
-        nuisance = np.concatenate([varying.columns(blurring.weights), standing.rows(blurring.weights)])
-        families = {"blur": Family(sums, nuisance, blurring.noise)}
+    def asked(still: Voxels, variation: Variation) -> Contrasted:
+        varying = Variation.of(still, [blurring])
+        families = {"blur": Family(sums, _held(blurring.weights[None], varying, standing), blurring.noise)}
         families |= {each.family: _family(each, scene, calm, variation, standing, least) for each in contrasts}
         held = (variation.joint, standing.joint)
-        unnamed = departures(scene.voxels, held, simulator.clock.frames.mid, added, least=least)
+        unnamed = departures(scene.voxels, held, simulator.clock.frames.mid, named, least=least)
         rng = np.random.default_rng((seed, len(patterns)))
         return judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
 
-    first = asked(calm)
+    first = asked(calm, variation)
     if voxels.gone is not None:
         return Looked(_as_gone(voxels.gone, first), width, _sighted(voxels, simulator))
     timed = {name: best for name, best in first.best.items() if best.pattern.course is not None}
@@ -171,7 +171,8 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
         return Looked(first, width)
     best = timed[leader]
     maps = next(contrast.maps for contrast in contrasts if contrast.family == best.pattern.family)
-    again = asked(less(scene.voxels, maps, best.value * np.asarray(best.pattern.course)))
+    rest = less(scene.voxels, maps, best.value * np.asarray(best.pattern.course))
+    again = asked(rest, Variation.of(rest, contrasts))
     return Looked(replace(again, p_value=first.p_value), width)
 
 
@@ -220,6 +221,7 @@ class _Contrast(Weighed):
         axis: of the grid.
         maps: what a unit of them adds to every voxel, in courses (N, M).
         prior: standard deviation of the amplitude, in its unit.
+        pair: its weights in two parts (2, N), together what is asked.
     """
 
     family: str
@@ -227,6 +229,7 @@ class _Contrast(Weighed):
     axis: int
     maps: Array
     prior: float
+    pair: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def _contrasts(scene: Scene) -> list[_Contrast]:
@@ -249,27 +252,33 @@ def _named(scene: Scene, contrasts: Sequence[_Contrast]) -> dict[str, Maps]:
     return found
 
 
+def _held(weights: Array, variation: Variation, standing: Standing) -> Array:
+    """What contrasts of all regions may hold of kinetics that vary within them and of included effects."""
+    regions = np.arange(len(variation.sensitivity))
+    return np.concatenate([each.joint(weights, regions) for each in (variation, standing)])
+
+
 def _family(
     contrast: _Contrast, scene: Scene, still: Voxels, variation: Variation, standing: Standing, least: float
 ) -> Family:
     """A contrast's rows beside the drawn picture's, with what they may hold of included effects, and of an image that
     stays as it is, as far as one that is still shows it."""
-    voxels, weights = scene.voxels, contrast.weights
-    nuisance = np.concatenate([variation.columns(weights), standing.rows(weights)])
-    bare = Family(still.beside(weights), nuisance, contrast.noise)
-    return replace(holding(bare, voxels.there(weights), least, times=_TIMES), rows=voxels.beside(weights))
+    voxels, pair, regions = scene.voxels, contrast.pair, np.arange(len(variation.sensitivity))
+    noise = voxels.picture.grain.between(pair)
+    bare = Family(beside(still, pair, regions), _held(pair, variation, standing), noise)
+    return replace(holding(bare, there(voxels, pair, regions), least, times=_TIMES), rows=beside(voxels, pair, regions))
 
 
 def _patterns(contrast: _Contrast, scene: Scene, simulator: RegionalSimulator) -> list[Pattern]:
     """What a contrast's effects add, by setting."""
     voxels, place, found = scene.voxels, {"axis": float(contrast.axis)}, []
+    regions = np.arange(len(voxels.spread))
     for name in contrast.names:
         moves = name in MOTIONS
-        maps = scene.parts(name, contrast.axis) if moves else [contrast.maps]
-        drawn = np.stack([voxels.framed(contrast.weights, each, voxels.picture.courses) for each in maps])
+        drawn = added(voxels, contrast.pair, regions, scene.parts(name, contrast.axis) if moves else [contrast.maps])
         for setting, course, usual in _courses(name, simulator):
             own = scene.courses(name, contrast.axis, course) if moves else [course]
-            rows = np.einsum("nrk,nk->rk", drawn, np.stack(own))
+            rows = np.einsum("njk,nk->jk", drawn, np.stack(own))
             more = {"width": contrast.prior, "course": course, "usual": usual}
             found.append(Pattern(name, contrast.family, rows, place | setting, **more))
     return found

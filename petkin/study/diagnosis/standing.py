@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from petkin.effects import Effect
 from petkin.effects.imaging import after
-from petkin.study.diagnosis.fields import added, fields_of
+from petkin.study.diagnosis.fields import fields_of
+from petkin.study.diagnosis.gone import DRIFT
 from petkin.study.diagnosis.including import without
+from petkin.study.diagnosis.joint import added
 from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.scene import GAIN, GAINS, MOTION_MM, MOTIONS, Scene, drifts
@@ -60,23 +62,14 @@ class Standing:
         scene = Scene(voxels)
         return cls(voxels, tuple(part for e in spatial(simulator) for part in _parts(e, scene, simulator)))
 
-    def rows(self, weights: Array) -> Array:
-        """What a contrast of every region, of weights (N,), may hold of it (n, R, K)."""
-        courses = self.voxels.picture.courses
-        return self._followed(
-            lambda maps: np.stack([self.voxels.framed(weights, each, courses) for each in maps]),
-            self.voxels.spread.shape,
-        )
-
     def joint(self, weights: Array, regions: NDArray[np.intp]) -> Array:
-        """The same of several contrasts of each of some regions, by weights (F, N): (n, F R, K)."""
+        """What several contrasts of each of some regions may hold of it, by weights (F, N): (n, F R, K)."""
         shape = (len(weights) * len(regions), self.voxels.spread.shape[1])
-        return self._followed(lambda maps: added(self.voxels, weights, regions, maps), shape)
-
-    def _followed(self, held: Callable[[Iterable[Array]], Array], shape: tuple[int, ...]) -> Array:
-        """What contrasts hold of all maps, each with all of its courses."""
-        found = [held(part.maps())[:, None] * part.courses[:, None] for part in self.parts]
-        return np.concatenate([np.zeros((0, *shape)), *(each.reshape(-1, *shape) for each in found)])
+        found = [np.zeros((0, *shape))]
+        for part in self.parts:
+            held = added(self.voxels, weights, regions, part.maps())
+            found.append((held[:, None] * part.courses[:, None]).reshape(-1, *shape))
+        return np.concatenate(found)
 
     def beside(self, residual: Array) -> Array:
         """Residuals of the voxels (N, K) without what of it they are likely to hold.
@@ -132,8 +125,10 @@ def _parts(effect: Effect, scene: Scene, simulator: RegionalSimulator) -> list[_
             _Part(lambda: scene.bends, 0.5 * MOTION_MM**2 * courses**2),
         ]
         if gone is not None:
-            drifting = _INEXACT * gone.most * np.stack(drifts(simulator.clock.frames))
-            found.append(_Part(scene.motions.values, drifting))
+            drifting, far = drifts(simulator.clock.frames), _INEXACT * gone.most
+            found.append(_Part(scene.motions.values, far * np.stack(drifting)))
+            by_part = np.stack(scene.courses(DRIFT, gone.way, drifting[0]))
+            found.append(_Part(lambda: scene.parts(DRIFT, gone.way), far * by_part))
         return found
     tilts = _Part(lambda: (scene.tilt(axis) for axis in scene.axes), GAIN * courses)
     voxels = scene.voxels

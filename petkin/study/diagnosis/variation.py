@@ -50,12 +50,14 @@ class Variation:
     Args:
         cells: where they are.
         fields: waves of which smooth fields of unit variance are sums, at the cells (C, Q).
+        apart: other such waves, so that fields still have what contrasts without these see (C, Q).
         sensitivity: derivatives of the weighted regional curves by their own parameters (R, K, P).
         variance: v of the logarithm of every parameter (P,).
     """
 
     cells: _Cells
     fields: Array
+    apart: Array
     sensitivity: Array
     variance: Array
 
@@ -65,21 +67,34 @@ class Variation:
         rng, cells = np.random.default_rng(0), _Cells.of(voxels)
         fields, waves = cells.waves(rng, _WAVES, _LENGTH_MM), cells.waves(rng, _DECOYS, _DECOY_MM)
         decoys = [decoy for each in contrasts for decoy in _decoys(voxels, each, cells, waves, fields)]
-        return cls(cells, fields, voxels.sensitivity, _variances(decoys, voxels.sensitivity.shape[2]))
-
-    def columns(self, weights: Array) -> Array:
-        """What contrasts of weights (N,) may hold of kinetics that vary within regions (R P, R, K)."""
-        return self.joint(weights[None], np.arange(len(self.sensitivity)))
+        apart = cells.waves(rng, _WAVES, _LENGTH_MM)
+        return cls(cells, fields, apart, voxels.sensitivity, _variances(decoys, voxels.sensitivity.shape[2]))
 
     def joint(self, weights: Array, regions: NDArray[np.intp]) -> Array:
-        """The same of several contrasts of each of some regions, by weights (F, N): (F R P, F R, K)."""
+        """What several contrasts of each of some regions may hold of it, by weights (F, N): (n, F R, K)."""
         held, sensitivity = self.cells.over(weights), self.sensitivity[regions]
         seen = np.stack([(held * (self.cells.region == r)) @ self.fields for r in regions], axis=1)
         seen = seen.reshape(-1, seen.shape[-1])
         size, axes = np.linalg.eigh(seen @ seen.T)
-        root = (axes * np.sqrt(np.maximum(size, 0.0))).reshape(-1, len(regions), len(seen))
+        there = size > _TINY * size[-1]
+        root = (axes[:, there] * np.sqrt(size[there])).reshape(-1, len(regions), int(there.sum()))
         columns = np.einsum("frs,rkp,p->spfrk", root, sensitivity, np.sqrt(self.variance))
         return columns.reshape(-1, len(seen), sensitivity.shape[1])
+
+    def parted(self, voxels: Voxels, contrast: Weighed) -> Array:
+        """Weights (2, N) that see no smooth field, and those that see what these do not, each of unit length.
+
+        w - F (1 / q + F' F)^-1 F' w, of waves F at the voxels: what fields of the size that they have explain of a
+        contrast is noise, whatever it is of; q is their variance over that of noise, of the usual parameter and frame.
+        """
+        left = contrast.weights.copy()
+        for r, noise in enumerate(np.diag(contrast.noise)):
+            mine = voxels.place == r
+            waves = self.apart[self.cells.index[mine]]
+            q = float((self.sensitivity[r] ** 2 * self.variance).mean() / max(noise, _TINY))
+            inner = waves.T @ waves + np.eye(waves.shape[1]) / max(q, _TINY)
+            left[mine] -= waves @ np.linalg.solve(inner, waves.T @ left[mine])
+        return np.stack([voxels.centred(left), voxels.centred(contrast.weights - left)])
 
 
 @dataclass(frozen=True)

@@ -65,16 +65,24 @@ class VoxelNoise:
         return np.sqrt(np.maximum(found, 0.0))
 
     def between(self, weights: Array) -> Array:
-        """Covariance of sum_v w_v e_v between all regions (R, R): voxels on either side of a border share noise too."""
-        grid = np.zeros(self.labels.shape)
-        grid[self.labels > 0] = weights
+        """Covariance of sum_v w_v e_v between all regions, of weights (F, N), or (N,): (F R, F R), regions within each.
+
+        Voxels on either side of a border share noise too.
+        """
+        grids: Array = np.zeros((len(np.atleast_2d(weights)), *self.labels.shape))
+        grids[:, self.labels > 0] = weights
         boxes = find_objects(self.labels)
-        found = np.zeros((len(boxes), len(boxes)))
+        found = np.zeros((len(grids), len(boxes), len(grids), len(boxes)))
         for r, box in enumerate(boxes):
             wide = tuple(slice(max(b.start - n // 2, 0), b.stop + n // 2) for b, n in zip(box, self.shared.shape))
-            reached = grid[wide] * _spread(np.where(self.labels[wide] == r + 1, grid[wide], 0.0), self.shared)
-            found[r] = np.bincount(self.labels[wide].ravel(), reached.ravel(), len(boxes) + 1)[1:]
-        return 0.5 * (found + found.T)
+            labels, own = self.labels[wide], self.labels[wide] == r + 1
+            near = grids[:, *wide]
+            for f, grid in enumerate(near):
+                reached = _spread(np.where(own, grid, 0.0), self.shared)
+                for g, other in enumerate(near):
+                    found[f, r, g] = np.bincount(labels.ravel(), (other * reached).ravel(), len(boxes) + 1)[1:]
+        flat = found.reshape(len(grids) * len(boxes), -1)
+        return 0.5 * (flat + flat.T)
 
     def covariances(self, weights: Array) -> list[Array]:
         """Covariance of sum_v w_v e_v of several weights (F, N) of the labelled voxels, in every region (F, F)."""

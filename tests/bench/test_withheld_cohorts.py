@@ -69,6 +69,21 @@ def test_causes_that_differ_have_strengths_that_one_scan_shows(of_kind) -> None:
     assert all(0.9 * low < strength < 1.1 * high for strength in answer.detectability)
 
 
+def test_two_causes_are_in_groups_of_their_own_and_cannot_be_taken_for_each_other(of_kind) -> None:
+    answer = of_kind("two", 0)
+    assert min(answer.detectability) > 0
+    assert cases._LEAST <= np.count_nonzero(answer.sizes) < SCANS
+    assert answer.name in answer.same
+    assert answer.other
+    assert not set(answer.same) & set(answer.other)
+
+
+def test_a_cause_of_no_name_is_in_all_scans(of_kind) -> None:
+    answer = of_kind("unnamed", 0)
+    assert min(answer.detectability) > 0
+    assert (answer.name, answer.same, answer.other) == ("", (), ())
+
+
 def judged(**cells: str) -> Judged:
     usual = {
         "kind": "all",
@@ -88,6 +103,9 @@ def judged(**cells: str) -> Judged:
         "mean_low": "0.04",
         "mean_high": "0.06",
         "size": "-0.05",
+        "groups": "gain_step",
+        "further": "",
+        "unnamed": "",
         "each": "gain_step;;dispersion",
         "seconds": "3.0",
     }
@@ -98,8 +116,13 @@ def test_scores_by_hand() -> None:
     some = judged(kind="some", detectability="5.0;0.0;6.0", carriers="0.9;0.7;0.99", mean_high="0.045")
     apart = judged(kind="apart", classes="", name="", form="", carriers="0.9;0.8;0.1")
     alone = judged(kind="apart", classes="", name="", form="", carriers="0.9;0.1;0.1")
+    groups = {"kind": "two", "classes": "gain_step|dispersion", "groups": "gain_step;dispersion|arterial_delay"}
+    both, one = judged(**groups, further="arterial_delay"), judged(**groups)
+    alien = {"kind": "unnamed", "classes": "", "groups": "", "name": "", "form": ""}
+    unknown = judged(**alien, verdict="unknown", set="", leader_probability="0.1", unnamed="0.9;0.9;0.9")
     silent = judged(kind="none", verdict="none", classes="", name="", form="", set="", leader="", carriers="", mean="")
-    found = {m.name: m.value for m in cohort_metrics([judged(), some, apart, alone, silent])}
+    cases_ = [judged(), some, apart, alone, silent, both, one, unknown, judged(**alien)]
+    found = {m.name: m.value for m in cohort_metrics(cases_)}
     assert {name.partition(": ")[0] for name in found} == {"cohorts of 3"}
     value = {name.partition(": ")[2]: v for name, v in found.items()}
     assert value["false alarms"] == 0.0
@@ -110,6 +133,13 @@ def test_scores_by_hand() -> None:
     assert value["AUROC of carriers, held by some"] == 1.0
     assert value["prevalence interval holds it, held by some"] == 1.0
     assert value["interval of the mean size holds it"] == 0.5
+    assert value["two causes: both named, each of some scans"] == 0.5
+    assert value["two causes: one named at least"] == 1.0
+    assert value["a second cause named where there is none"] == 0.0
+    assert value["of no name in all: called unknown"] == 0.5
+    assert value["of no name in all: said to be shared"] == 0.5
+    assert value["of no name in all: named with p > 0.9"] == 0.5
+    assert value["named called of no name"] == 0.0
     assert value["CPU s a scan, median"] == 1.0
 
 

@@ -42,6 +42,8 @@ def cohort_verdict(scans: Sequence[Scan], *, seed: int, draws: int) -> dict[str,
         "mean_low": "" if mean is None else mean.low,
         "mean_high": "" if mean is None else mean.high,
         "unit": "" if leader is None else leader.unit,
+        "further": ";".join(group.causes[0].label for group in found.further),
+        "unnamed": "" if found.unnamed is None else ";".join(f"{share:.4f}" for share in found.unnamed.carriers),
         "each": ";".join(one.causes[0].label if one.kind in ("named", "ambiguous") else "" for one in alone),
         "seconds": round(seconds, 3),
     }

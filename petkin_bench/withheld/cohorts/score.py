@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: A scan carries a cause from this probability on; so many do at least where it is shared.
 _CARRIES, _SEVERAL = 0.5, 2
+#: Groups of scans with a cause each; probability of a confident name.
+_BOTH, _SURELY = 2, 0.9
 #: Causes whose size the generator means as the product does.
 _SIZED = ("dispersion", "gain_drift", "gain_step")
 
@@ -28,11 +30,18 @@ def cohort_metrics(cases: Sequence[Judged]) -> list[Metric]:
     """Every metric of a run of cohorts."""
     shared = [c for c in cases if c.kind in ("all", "some")]
     right = [c for c in shared if c.right]
-    apart = [c for c in cases if c.kind == "apart"]
+    apart, two, alien = ([c for c in cases if c.kind == kind] for kind in ("apart", "two", "unnamed"))
     count = len(cases[0].cells["each"].split(";")) if cases else 0
     found = [
         share_of("false alarms", [c.claimed for c in cases if c.kind == "none"], 0.05, "<="),
         share_of("different causes called shared", [_several(c) for c in apart]),
+        share_of("two causes: both named, each of some scans", [_named(c) == _BOTH for c in two]),
+        share_of("two causes: one named at least", [_named(c) > 0 for c in two]),
+        share_of("a second cause named where there is none", [bool(c.cells["further"]) for c in (*shared, *apart)]),
+        share_of("of no name in all: called unknown", [c.cells["verdict"] == "unknown" for c in alien]),
+        share_of("of no name in all: said to be shared", [bool(c.cells["unnamed"]) for c in alien]),
+        share_of("of no name in all: named with p > 0.9", [_surely(c) for c in alien]),
+        share_of("named called of no name", [bool(c.cells["unnamed"]) for c in (*shared, *two)]),
         *_by_strength(shared),
         share_of("set covers", [c.covered for c in shared if _middle(c) >= BINS[1][0]], 0.87),
         share_of("scans rightly said to carry it or not", [said for c in right for said in _told(c)]),
@@ -59,6 +68,16 @@ def _middle(case: Judged) -> float:
 
 def _several(case: Judged) -> bool:
     return bool(case.words("set")) and int((_numbers(case, "carriers") > _CARRIES).sum()) >= _SEVERAL
+
+
+def _named(case: Judged) -> int:
+    """How many of the groups' causes are named, each by what other scans share."""
+    said = [case.cells["leader"] if case.words("set") else "", *case.words("further")]
+    return sum(any(label in group.split("|") for label in said) for group in case.words("groups"))
+
+
+def _surely(case: Judged) -> bool:
+    return bool(case.words("set")) and case.number("leader_probability") > _SURELY
 
 
 def _by_strength(shared: Sequence[Judged]) -> list[Metric]:

@@ -32,24 +32,28 @@ def render_cohort_report(report: CohortReport) -> str:
     answer = report.answer
     grade = {"none": "clear", "named": "care", "ambiguous": "care", "unknown": "unusable"}[answer["verdict"]["kind"]]
     with drawing():
-        shared = [answer["causes"], *(group["causes"] for group in answer["further"])]
-        pictures = [_carriers(answer), *(p for causes in shared for p in _strengths(causes))] if _all(answer) else []
+        tables = _tables(answer)
+        every = [cause for _, causes in tables for cause in causes]
+        pictures = [_carriers(every, answer["members"])] if every else []
+        pictures += [drawn for _, causes in tables for drawn in _strengths(causes)]
         page = environment().get_template("cohort_report.html.j2")
-        return page.render(report=report, answer=answer, pictures=pictures, grade=grade)
+        return page.render(report=report, answer=answer, tables=tables, pictures=pictures, grade=grade)
 
 
-def _all(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """Everything that may be shared, what the first scans share first."""
-    unnamed = [answer["unnamed"]] if answer["unnamed"] is not None else []
-    return [*answer["causes"], *(cause for group in answer["further"] for cause in group["causes"]), *unnamed]
+def _tables(answer: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Captions and causes of everything that is shared, what the first scans share first."""
+    found = [("Shared causes, likeliest first", answer["causes"])]
+    found += [("What other scans share, likeliest first", group["causes"]) for group in answer["further"]]
+    found += [("A gap of no name", [answer["unnamed"]] if answer["unnamed"] is not None else [])]
+    return [(caption, causes) for caption, causes in found if causes]
 
 
-def _carriers(answer: dict[str, Any]) -> Picture:
+def _carriers(causes: list[dict[str, Any]], members: list[dict[str, Any]]) -> Picture:
     """Scans against causes, the probability that each has each."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    causes, members = _all(answer)[:_SHOWN], answer["members"][:_MANY]
+    causes, members = causes[:_SHOWN], members[:_MANY]
     table = np.array([[m["probability"] for m in c["members"][:_MANY]] for c in causes]).T
     height = 1.6 + _ROW * len(members)
     figure = new_figure(7.0, height)
@@ -68,8 +72,6 @@ def _carriers(answer: dict[str, Any]) -> Picture:
 
 def _strengths(causes: list[dict[str, Any]]) -> list[Picture]:
     """The leading cause in every scan where it was fitted, with the mean over scans."""
-    if not causes:
-        return []
     leader = causes[0]
     known = [m for m in leader["members"] if m["amplitude"] is not None][:_MANY]
     if leader["amplitude"] is None or len(known) < 2:

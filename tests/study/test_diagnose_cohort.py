@@ -6,9 +6,14 @@ import json
 from importlib.resources import files
 
 import jsonschema
+import numpy as np
 import pytest
 
+from petkin.diagnosis import Member, in_common
+from petkin.diagnosis.detect import AgainstNoise
+from petkin.reporting import CohortReport, render_cohort_report
 from petkin.study.diagnose import Diagnosed, diagnose_study
+from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
@@ -68,3 +73,56 @@ def test_the_page_says_how_noise_goes_and_seconds_hold_all_of_it(found: tuple[Di
     assert ("scans tell together: variance as" in page) != ("do not tell together" in page)
     seconds = [one.answer["provenance"]["seconds"] for one in found]
     assert seconds[-1] > sum(seconds[:-1])
+
+
+def told(evidence: list[dict[str, float]], unnamed: list[float]) -> dict:
+    """The answer about scans with this evidence of some causes, and little of thirty others."""
+    noise = AgainstNoise(("gain_step",), np.zeros(1), np.random.default_rng(0).standard_normal((200, 1)))
+    usual = {f"cause{k}": -1.0 for k in range(30)}
+    members = [
+        Member(f"sub-{i:02d}", 0.001, usual | each, {}, {}, noise, none)
+        for i, (each, none) in enumerate(zip(evidence, unnamed, strict=True), 1)
+    ]
+    alone = {
+        "simulator": {"model": "2TCM", "includes": []},
+        "gap": {"present": True, "p_value": 0.001},
+        "verdict": {"kind": "unknown", "set": []},
+    }
+    written = cohort_answer(in_common(members), [alone] * len(members), seed=0, seconds=1.0)
+    jsonschema.validate(written, SCHEMA)
+    return written
+
+
+def page_of(written: dict) -> str:
+    return render_cohort_report(CohortReport("A group", written, ("#",) * len(written["members"]), "", ""))
+
+
+def test_what_two_groups_share_and_a_gap_of_no_name_stand_side_by_side() -> None:
+    one, other, strange = {"gain_step": 30.0}, {"dispersion": 16.0}, {}
+    written = told([one] * 5 + [other] * 4 + [strange] * 4, [5.0] * 5 + [2.0] * 4 + [25.0] * 4)
+    assert written["verdict"]["kind"] == "named"
+    named = [written["verdict"]["set"], *(group["set"] for group in written["further"])]
+    assert sorted(named) == [["dispersion"], ["gain_step"]]
+    assert [m["probability"] > 0.5 for m in written["unnamed"]["members"]] == [False] * 9 + [True] * 4
+    sentence = written["verdict"]["sentence"]
+    assert "step is shared by 5 of 13 scans." in sentence
+    assert "ispersion is shared by 4 of 13 scans." in sentence
+    assert "Beside it, 4 of 13 scans hold a gap that no effect of the catalogue explains" in sentence
+    page = page_of(written)
+    for caption in ("Shared causes, likeliest first", "What other scans share, likeliest first", "A gap of no name"):
+        assert page.count(f"<caption>{caption}</caption>") == 1
+    assert "none of the catalogue" in page
+
+
+def test_scans_that_share_no_more_than_a_gap_of_no_name_say_so() -> None:
+    written = told([{"gain_step": 8.0}] * 4, [20.0] * 4)
+    assert written["verdict"]["kind"] == "unknown"
+    assert written["verdict"]["sentence"].startswith("4 of 4 scans hold a gap that no effect of the catalogue explains")
+    assert "<caption>A gap of no name</caption>" in page_of(written)
+
+
+def test_scans_that_share_nothing_are_called_by_name_where_few_have_a_gap() -> None:
+    written = told([{"gain_step": 14.0}, {"dispersion": 14.0}, {"dead_time": 14.0}], [-3.0] * 3)
+    assert written["verdict"]["kind"] == "unknown"
+    assert written["verdict"]["sentence"].endswith("share; by themselves: sub-01, sub-02, sub-03.")
+    assert "<caption>" in page_of(written)

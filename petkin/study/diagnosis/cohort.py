@@ -108,7 +108,7 @@ def sentence(found: Cohort) -> str:
         told.insert(len(told) if found.chosen else 0, f"{holding} (p = {found.p_value:.2g}).")
     if not told:
         return f"There are gaps (p = {found.p_value:.2g}) but no cause that these {count} scans share{_alone(found)}."
-    return " Beside it: ".join([told[0], " ".join(told[1:])] if len(told) > 1 else told)
+    return " Beside it, ".join([told[0], *(more[0].lower() + more[1:] for more in told[1:])])
 
 
 def _alone(found: Cohort) -> str:

@@ -84,8 +84,11 @@ class Variation:
     def parted(self, voxels: Voxels, contrast: Weighed) -> Array:
         """Weights (2, N) that see no smooth field, and those that see what these do not, each of unit length.
 
-        w - F (1 / q + F' F)^-1 F' w, of waves F at the voxels: what fields of the size that they have explain of a
-        contrast is noise, whatever it is of; q is their variance over that of noise, of the usual parameter and frame.
+        (1 + q F F')^-1 w = w - F (1 / q + F' F)^-1 F' w,   of waves F at the voxels: what has a variance of one and
+        fields of variance q in it is whitened so. q is that of kinetics over that of noise, of the usual parameter and
+        frame.
+
+        Reference: Woodbury MA. Inverting modified matrices. Princeton Statistical Research Group memo 42; 1950.
         """
         left = contrast.weights.copy()
         for r, noise in enumerate(np.diag(contrast.noise)):

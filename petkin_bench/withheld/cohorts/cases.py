@@ -24,7 +24,8 @@ from petkin_bench.withheld.visibility import Simulator
 #: Scans of a cohort at least, so that some are not all, and at most, as there are no more classes of causes.
 SCANS = (3, 10)
 #: Kinds of cohort and their shares: no gap; a cause in all scans; in some; one in some and another in the rest; one of
-#: no name in all; in every scan another. Up to seed 35 there were no two and none of no name.
+#: no name in all; in every scan another. Up to seed 35 there were no two and none of no name, in seed 36
+#: the rest of two may be one scan.
 _KINDS = {"none": 0.2, "all": 0.25, "some": 0.2, "two": 0.15, "unnamed": 0.1, "apart": 0.1}
 #: Bins of d' of the first scan's cause, and of causes that differ; how often a shared cause has another form.
 BINS, _APART, _OTHER_FORM = ((2.0, 4.0), (4.0, 6.0), (6.0, 10.0)), (5.0, 10.0), 0.25
@@ -115,11 +116,11 @@ def _shared(scenes: list[Scene], split: str, kind: str, noise: str) -> tuple[lis
 def _two(scenes: list[Scene], noise: str) -> tuple[list[Scan], CohortAnswer]:
     """One cause in some scans and in the rest another that could not be taken for it, at strengths that one shows."""
     rng = scenes[0].rng
-    holds = _some(rng, len(scenes))
+    holds = _some(rng, len(scenes), rest=min(_LEAST, len(scenes) - _LEAST))
     for _ in range(TRIES):
         first, second = (single(scenes[0], _PLAIN, target=float(rng.uniform(*_APART))) for _ in range(2))
-        louder = min(first.percent, second.percent)
-        quiet = [replace(scene, percent=louder) for scene in scenes]
+        percent = min(first.percent, second.percent)
+        quiet = [replace(scene, percent=percent) for scene in scenes]
         one, two = _held(quiet, first, holds), _held(quiet, second, ~holds)
         same, other = _same(quiet, one), _same(quiet, two)
         if same and other and not set(same) & set(other) and first.cause is not second.cause:
@@ -128,7 +129,7 @@ def _two(scenes: list[Scene], noise: str) -> tuple[list[Scan], CohortAnswer]:
         raise RuntimeError(f"No two causes of classes of their own in {TRIES} draws.")
     made = [m if m is not None else n for m, n in zip(one, two, strict=True)]
     strengths, sizes = _strengths(made), tuple(0.0 if m is None else m.size for m in one)
-    answer = CohortAnswer("two", noise, louder, first.cause.name, "known", same, strengths, sizes, 0.0, other)
+    answer = CohortAnswer("two", noise, percent, first.cause.name, "known", same, strengths, sizes, 0.0, other)
     return _scans(quiet, made, noise), answer
 
 
@@ -143,10 +144,10 @@ def _unnamed(scenes: list[Scene], split: str, noise: str) -> tuple[list[Scan], C
     return _scans(scenes, made, noise), answer
 
 
-def _some(rng: np.random.Generator, scans: int) -> NDArray[np.bool_]:
-    """Which scans hold what only some do: two at least, and not all."""
+def _some(rng: np.random.Generator, scans: int, *, rest: int = 1) -> NDArray[np.bool_]:
+    """Which scans hold what only some do: two at least, and all but so many at most."""
     holds = np.ones(scans, bool)
-    while not _LEAST <= holds.sum() < scans:
+    while not _LEAST <= holds.sum() <= scans - rest:
         holds = rng.random(scans) < SHARE
     return holds
 

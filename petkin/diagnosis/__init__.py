@@ -10,6 +10,7 @@ from petkin.diagnosis.detect import CLAIM
 from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_left, foresee_design
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Sighting, Simulator, Term
 from petkin.diagnosis.families import Family, holding
+from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.noise import second_differences
 from petkin.diagnosis.nominal import Base, base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
@@ -44,6 +45,7 @@ __all__ = [
     "Fit",
     "Group",
     "Hypothesis",
+    "Interval",
     "Member",
     "Noise",
     "Pattern",

@@ -9,38 +9,43 @@ causes is, any of them alike:
 A gap of no name is one cause more. What some members share is then taken for theirs, and the others are asked again
 what they share, until that is nothing; and each cause once more with all the others there.
 
-The mean strength that is said is that of DerSimonian and Laird; its interval is theirs, or that of Student's t with the
-spread that is seen (Hartung, Knapp), whichever is wider: a spread that few members tell is itself unsure. An error that
-all members have alike is not averaged away.
-
-Reference: DerSimonian R, Laird N. Meta-analysis in clinical trials. Control Clin Trials 1986;7:177-188; Knapp G,
-Hartung J. Stat Med 2003;22:2693-2710.
+What is shared is B times as likely as nothing, which it seldom is where there is no gap: with a probability of no more
+than 1 / B. So many may share what none shows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from petkin.diagnosis.any_gap import any_gap
 from petkin.diagnosis.detect import CLAIM, AgainstNoise
 from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.how_far import Interval
+from petkin.diagnosis.pooling import mean_closure, mean_strength, moment
+from petkin.diagnosis.profile import Profile
 from petkin.diagnosis.sets import in_place_of, smallest_set
-from petkin.diagnosis.sharing import LEAST_ERROR, Mixture, about_the_same, error_of, mixture
+from petkin.diagnosis.sharing import Common, Mixture, mixture, together
 from petkin.diagnosis.verdict import Z90, Diagnosis, Strength
 
 Array = NDArray[np.float64]
 
-#: The chance that a member without a shared cause has no gap.
-_NO_GAP = 0.5
-_LISTED, _NEGLIGIBLE, _TAIL = 8, 0.005, 0.95
+#: Chances, as likely, that a member without a shared cause has no gap.
+_NO_GAP = np.array([0.5, 0.95])
+_LISTED, _NEGLIGIBLE = 8, 0.005
 #: Probability from which on a member's strength counts among the carriers'.
 _CARRY = 0.5
+#: Log evidence from which on a refit says more of a strength than a template.
+_SPEAKS = 5.0
+#: Share of false alarms that what members share may make, of all, and the least p-value that it is trusted with.
+_OF_SHARED, _SURELY = 0.1, 1e-4
+#: Log evidence below which it makes no difference whether a gap has a name.
+_HARDLY_ANY = 3.0
+#: How likely members have something in common, beyond the cause, beforehand.
+_IN_COMMON = 0.5
 #: Causes that different members share, at most, and the probability of nothing below which there is one beside others.
 _GROUPS, _HARDLY = 3, 0.1
 #: What a gap of no name is called among labels.
@@ -59,6 +64,8 @@ class Member:
         alike: cosines by pair of explanations.
         against: what speaks for a gap, against draws of noise.
         unnamed: log evidence of a gap of no name.
+        profiles: how evidence goes with setting and size, of single effects.
+        closures: share of the gap that the likeliest explanations close.
     """
 
     label: str
@@ -68,6 +75,8 @@ class Member:
     alike: Mapping[frozenset[str], float]
     against: AgainstNoise
     unnamed: float = -np.inf
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    closures: Mapping[str, Interval] = field(default_factory=dict)
 
     @classmethod
     def of(cls, label: str, found: Diagnosis) -> Member:
@@ -75,7 +84,18 @@ class Member:
         evidence = {name: value for name, (_, value) in found.evidence.items()}
         evidence |= {cause.label: cause.log_evidence for cause in found.likely}
         unnamed = in_place_of([*evidence.values()], found.unknown_evidence)
-        return cls(label, found.p_value, evidence, found.strengths, found.alike, found.against, unnamed)
+        closures = {cause.label: cause.closure for cause in found.likely if cause.closure is not None}
+        return cls(
+            label=label,
+            p_value=found.p_value,
+            evidence=evidence,
+            strengths=found.strengths,
+            alike=found.alike,
+            against=found.against,
+            unnamed=unnamed,
+            profiles=found.profiles,
+            closures=closures,
+        )
 
     def holding(self, names: Sequence[str]) -> float:
         """Log evidence of all explanations that hold these effects, averaged over the pairs a second could make; of
@@ -88,13 +108,13 @@ class Member:
         return float(np.logaddexp.reduce(within)) if within else 0.0
 
     @property
-    def background(self) -> float:
+    def background(self) -> Array:
         """Log evidence of no effect, or any one, alone or with any second, as `holding` has it of the likeliest, or a
-        gap of no name."""
+        gap of no name; for every chance of no gap (Q,)."""
         causes = 1 + sum("+" not in label for label in self.evidence)
         explained = [value + np.log(1 + label.count("+")) for label, value in self.evidence.items()]
         any_cause = np.log(1 - _NO_GAP) + float(np.logaddexp.reduce([*explained, self.unnamed])) - np.log(causes)
-        return float(np.logaddexp(np.log(_NO_GAP), any_cause))
+        return np.asarray(np.logaddexp(np.log(_NO_GAP), any_cause), np.float64)
 
 
 @dataclass(frozen=True)
@@ -110,6 +130,9 @@ class SharedCause:
         mean: of the strengths; None where fewer than two members give one.
         between: standard deviation of the strengths between members.
         unit: of the strengths.
+        onset: that they have in common, min; None where they have none, or rather each its own.
+        closure: share of the gap that it closes, on average; None where fewer than two members tell.
+        like: of a gap of no name, the name that tells what members have in common.
     """
 
     effects: tuple[str, ...]
@@ -120,6 +143,9 @@ class SharedCause:
     mean: Interval | None
     between: float | None
     unit: str
+    onset: Interval | None
+    closure: Interval | None
+    like: str = ""
 
     @property
     def label(self) -> str:
@@ -216,7 +242,7 @@ def in_common(members: Sequence[Member]) -> Cohort:
     Args:
         members: two or more.
     """
-    bare = np.array([m.background for m in members])
+    bare = np.stack([m.background for m in members], axis=-1)
     first = _asked(members, bare)
     leaders: list[SharedCause] = []
     asked = first
@@ -227,8 +253,14 @@ def in_common(members: Sequence[Member]) -> Cohort:
     if len(leaders) > 1:
         groups = [_asked(members, _beside(members, bare, [o for o in leaders if o is not own])) for own in leaders]
         groups = sorted((group for group in groups if group.unshared < _HARDLY), key=_most, reverse=True) or [first]
-    p = any_gap([m.p_value for m in members], [m.against for m in members])
-    return Cohort(tuple(members), p, tuple(groups))
+    return Cohort(tuple(members), _p_value(members, first.unshared), tuple(groups))
+
+
+def _p_value(members: Sequence[Member], unshared: float) -> float:
+    """Of no gap in any: by what they say one by one, or by what they may share."""
+    any_of_them = any_gap([m.p_value for m in members], [m.against for m in members])
+    odds = unshared / max(1.0 - unshared, 1e-300)
+    return min(any_of_them / (1.0 - _OF_SHARED), max(odds, _SURELY) / _OF_SHARED, 1.0)
 
 
 def _most(group: Group) -> float:
@@ -236,9 +268,11 @@ def _most(group: Group) -> float:
 
 
 def _asked(members: Sequence[Member], background: Array) -> Group:
-    """What members share of which each may have such a background (N,) instead."""
+    """What members share of which each may have such a background (Q, N) instead."""
     labels = list(dict.fromkeys(label for m in members for label in m.evidence))
-    found = {label: _judged(label, members, background) for label in (*labels, UNNAMED)}
+    found = {label: _judged(label, members, background) for label in labels}
+    like = max(labels, key=lambda label: found[label].log_evidence, default="")
+    found[UNNAMED] = _judged(UNNAMED, members, background, like)
     probability, unshared = _probabilities({label: c.log_evidence for label, c in found.items()})
     ranked = sorted(labels, key=lambda label: -found[label].log_evidence)
     listed = [name for name in ranked if probability[name] > _NEGLIGIBLE and found[name].log_evidence > 0][:_LISTED]
@@ -251,9 +285,9 @@ def _asked(members: Sequence[Member], background: Array) -> Group:
 
 
 def _beside(members: Sequence[Member], background: Array, causes: Sequence[SharedCause]) -> Array:
-    """Log evidence of members (N,) who have such causes, or not."""
+    """Log evidence of members (Q, N) who have such causes, or not."""
     for cause in causes:
-        background = _shared(cause.label, members, background).beside
+        background = _shared(cause.label, members, background, cause.like)[0].beside
     return background
 
 
@@ -268,20 +302,39 @@ def _probabilities(evidence: Mapping[str, float]) -> tuple[dict[str, float], flo
     return {name: float(np.exp(value - total)) for name, value in zip(evidence, logs)}, float(np.exp(-total))
 
 
-def _shared(label: str, members: Sequence[Member], background: Array) -> Mixture:
+def _shared(
+    label: str, members: Sequence[Member], background: Array, like: str = ""
+) -> tuple[Mixture, tuple[Profile, ...]]:
+    """Who has a cause, and profiles of it where a setting may be in common.
+
+    What a gap of no name has in common is told by the name that it is most like: `like` and what that lacks.
+    """
     own = np.array([m.holding(_names(label)) for m in members])
-    return mixture(own, about_the_same(own, [m.strengths.get(label) for m in members]), background)
+    if label == UNNAMED and like:
+        named = np.array([m.holding(_names(like)) for m in members])
+        kinds, _ = together(named, [m.strengths.get(like) for m in members], [m.profiles.get(like) for m in members])
+        names = len({name for m in members for name in m.evidence if "+" not in name})
+        beyond = np.maximum(own, _HARDLY_ANY) - np.maximum(named, _HARDLY_ANY)
+        common = [Common(kind.evidence + beyond) for kind in kinds]
+        return mixture(own, common, background, share=_IN_COMMON / max(names, 1)), ()
+    common, at = together(own, [m.strengths.get(label) for m in members], [m.profiles.get(label) for m in members])
+    return mixture(own, common, background, share=_IN_COMMON), at
 
 
 def _names(label: str) -> tuple[str, ...]:
     return tuple(label.split("+")) if label != UNNAMED else ()
 
 
-def _judged(label: str, members: Sequence[Member], background: Array) -> SharedCause:
+def _judged(label: str, members: Sequence[Member], background: Array, like: str = "") -> SharedCause:
     """One cause with its evidence; its probability is not known yet."""
-    found = _shared(label, members, background)
-    known = [m.strengths[label] for m, s in zip(members, found.carriers) if label in m.strengths and s > _CARRY]
-    pooled = _pooled(known)
+    found, at = _shared(label, members, background, like)
+    carrying = [i for i, share in enumerate(found.carriers) if share > _CARRY]
+    known, onset = [members[i].strengths[label] for i in carrying if label in members[i].strengths], None
+    if at and found.settings.sum() > _CARRY:
+        onset = moment([setting.get("onset") for setting in at[0].settings], found.settings)
+        place = int(found.settings.argmax())
+        known = [_there(members[i], label, at[i], place) for i in carrying]
+    pooled = mean_strength(known)
     return SharedCause(
         _names(label),
         0.0,
@@ -291,37 +344,23 @@ def _judged(label: str, members: Sequence[Member], background: Array) -> SharedC
         None if pooled is None else pooled.interval,
         None if pooled is None else pooled.between,
         known[0].unit if known else "",
+        onset,
+        mean_closure([members[i].closures[label] for i in carrying if label in members[i].closures]),
+        like,
     )
 
 
-@dataclass(frozen=True)
-class _Pooled:
-    """Strengths together: their mean with its 90 % interval, and the spread between members beyond their own errors."""
+def _there(member: Member, label: str, at: Profile, place: int) -> Strength:
+    """The strength at a setting in common of a member that says little of its own; that after a refit of the others.
 
-    interval: Interval
-    between: float
-
-
-def _pooled(strengths: Sequence[Strength]) -> _Pooled | None:
-    """None of fewer than two strengths, of what has none, or of what is in another channel of each, or goes another
-    way."""
-    if len(strengths) < 2 or strengths[0].unit == "flag":
-        return None
-    if len({s.unit for s in strengths}) > 1 or len({s.channel for s in strengths if not s.single}) > 1:
-        return None
-    values = np.array([s.value for s in strengths])
-    alike = np.array([s.alike for s in strengths])
-    variance = np.maximum(np.array([error_of(s) for s in strengths]) ** 2 - (alike * values) ** 2, LEAST_ERROR**2)
-    weight = 1.0 / variance
-    fixed = (weight @ values) / weight.sum()
-    excess = weight @ (values - fixed) ** 2 - (len(values) - 1)
-    spread = max(excess / (weight.sum() - (weight**2).sum() / weight.sum()), 0.0)
-    weight = 1.0 / (variance + spread)
-    mean = float((weight @ values) / weight.sum())
-    seen = (weight @ (values - mean) ** 2) / (len(values) - 1)
-    own = max(Z90, stdtrit(len(values) - 1, _TAIL) * np.sqrt(seen)) * weight.sum() ** -0.5
-    half = float(np.hypot(own, Z90 * alike.max() * mean))
-    return _Pooled(Interval(mean, mean - half, mean + half), float(np.sqrt(spread)))
+    The truth lies somewhere between settings, so that a template misses a share of it, the same in all members."""
+    own, missed = member.strengths[label], float(at.missed[place])
+    if member.holding((label,)) > _SPEAKS or np.isnan(at.values[place]):
+        return own
+    value, error = (float(one[place]) / (1.0 - 0.5 * missed) for one in (at.values, at.errors))
+    alike = missed / np.sqrt(12.0)
+    half = Z90 * float(np.hypot(error, alike * value))
+    return replace(own, value=value, low=value - half, high=value + half, alike=float(alike))
 
 
 def _alike(members: Sequence[Member]) -> dict[frozenset[str], float]:

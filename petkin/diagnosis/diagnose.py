@@ -19,6 +19,7 @@ from petkin.diagnosis.noise import levels, lowered
 from petkin.diagnosis.nominal import Base, base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pairs import pairs
+from petkin.diagnosis.profile import profiles
 from petkin.diagnosis.refit import Fit, begun, refit
 from petkin.diagnosis.scan import Scan, Template, starts, templates
 from petkin.diagnosis.sets import LAPSE, LAPSE_WITHIN, confusability, probabilities, smallest_set
@@ -285,6 +286,7 @@ def _verdict(
         alike=alike,
         likely=causes,
         against=detected.against,
+        profiles=profiles(explained.scan, base.residual),
     )
 
 

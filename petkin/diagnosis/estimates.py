@@ -38,12 +38,12 @@ def estimates(candidate: Candidate, simulator: Simulator, base: Fit, noise: Nois
     fit = candidate.fit
     if fit is None:
         return ()
-    known, error = len(base.state.terms), fit.widened
+    known, covariance = len(base.state.terms), fit.beyond * fit.covariance
     found: list[Estimate] = []
     placed = zip(fit.state.terms[known:], columns_of(fit, len(simulator.channels), known))
     for term, place in sorted(placed, key=lambda both: both[0].hypothesis.name):
         name = term.hypothesis.name
-        found.append(_amplitude(term, error[place[""]] if "" in place else np.zeros(0), simulator.channels))
+        found.append(_amplitude(term, _part(covariance, place), simulator.channels))
         if "onset" in place:
             found.append(_onset(term, fit, place, simulator, noise))
         numbers = (symbol for symbol in ("frame", "axis") if symbol in term.setting)
@@ -106,7 +106,7 @@ def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator,
         if candidate.fit is not None:
             (place,) = columns_of(candidate.fit, len(simulator.channels), len(base.state.terms))
             term = candidate.fit.state.terms[-1]
-            one = _amplitude(term, candidate.fit.errors[place.get("", slice(0))], simulator.channels)
+            one = _amplitude(term, _part(candidate.fit.covariance, place), simulator.channels)
         else:
             term, one = _from_scan(scan, base.residual, each, candidate.label, simulator.channels)
         h = term.hypothesis
@@ -119,26 +119,33 @@ def strengths(candidates: Sequence[Candidate], scan: Scan, simulator: Simulator,
 
 
 def _from_scan(scan: Scan, residual: Array, each: Array, name: str, channels: Sequence[str]) -> tuple[Term, Estimate]:
-    errors = np.sqrt(np.diag(np.linalg.inv(scan.information(scan.best(each, name)))))
+    covariance = np.asarray(np.linalg.inv(scan.information(scan.best(each, name))), np.float64)
     term = starts(scan, residual, each, name)[0]
-    return term, _amplitude(term, errors, channels)
+    return term, _amplitude(term, covariance, channels)
 
 
-def _amplitude(term: Term, errors: Array, channels: Sequence[str]) -> Estimate:
+def _part(covariance: Array, places: Mapping[str, slice]) -> Array:
+    """That of a term's amplitudes; empty of what has none."""
+    place = places.get("", slice(0))
+    return covariance[place, place]
+
+
+def _amplitude(term: Term, covariance: Array, channels: Sequence[str]) -> Estimate:
     """One number with its 90 % interval: of amplitudes that one channel may have alone the clearest, of those that are
-    about alike in all the mean, or the median where they differ."""
+    about alike in all the mean, or the median where they differ. What is common to channels moves them together."""
     hypothesis, channel = term.hypothesis, ""
     if hypothesis.flag:
         return Estimate("amplitude", "flag", 1.0, 1.0, 1.0, effect=hypothesis.name)
     values = np.atleast_1d(np.asarray(term.amplitude, np.float64))
-    errors = np.maximum(errors, 1e-12)
+    errors = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), 1e-12)
     weight = errors**-2.0 / (errors**-2.0).sum()
-    mean, error = float(weight @ values), float((errors**-2.0).sum() ** -0.5)
+    mean, error = float(weight @ values), max(float(weight @ covariance @ weight), 0.0) ** 0.5
     if hypothesis.by_channel and not hypothesis.alike:
         clearest = int(np.argmax(np.abs(values) / errors))
         mean, error, channel = float(values[clearest]), float(errors[clearest]), channels[clearest]
     elif hypothesis.by_channel and np.ptp(values / errors) > 4.0 * Z90:  # not one amplitude for all
-        mean, error = float(np.median(values)), _OF_MEDIAN * float(values.std(ddof=1)) / values.size**0.5
+        scatter = _OF_MEDIAN * float(values.std(ddof=1)) / values.size**0.5
+        mean, error = float(np.median(values)), float(np.hypot(scatter, error))
     low, high = mean - Z90 * error, mean + Z90 * error
     return Estimate("amplitude", hypothesis.unit, mean, low, high, effect=hypothesis.name, channel=channel)
 

@@ -91,10 +91,14 @@ class Fit(Point):
         return max(self.chi2 / self.freedom, 1.0)
 
     @property
+    def covariance(self) -> Array:
+        """Of all coordinates by the curvature (n, n), in the noise that is taken."""
+        return np.asarray(np.linalg.pinv(self.jacobian.T @ self.jacobian + np.diag(self.penalty)), np.float64)
+
+    @property
     def errors(self) -> Array:
-        """Standard errors of all coordinates by the curvature (n,), in the noise that is taken."""
-        covariance = np.linalg.pinv(self.jacobian.T @ self.jacobian + np.diag(self.penalty))
-        return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        """Standard errors of all coordinates (n,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def widened(self) -> Array:

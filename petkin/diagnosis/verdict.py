@@ -11,6 +11,7 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.design import Visible
 from petkin.diagnosis.detect import CLAIM, AgainstNoise
 from petkin.diagnosis.how_far import Interval
+from petkin.diagnosis.profile import Profile
 from petkin.diagnosis.refit import Fit
 from petkin.diagnosis.where import PART, Place
 
@@ -106,6 +107,7 @@ class Diagnosis:
         alike: cosines by pair of causes.
         likely: the likeliest causes whether or not there is a gap, for what several data sets have in common.
         against: what speaks for a gap in the data and in noise, for the same.
+        profiles: of single effects, for the same.
         shown: effects that other data show, whatever this design could tell.
     """
 
@@ -131,6 +133,7 @@ class Diagnosis:
     alike: dict[frozenset[str], float]
     likely: tuple[Cause, ...]
     against: AgainstNoise
+    profiles: dict[str, Profile]
     shown: frozenset[str] = frozenset()
 
     @property

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from petkin.diagnosis import Cohort, Member, Strength, Term, diagnose, in_common
-from petkin.diagnosis.cohort import _pooled
 from petkin.diagnosis.detect import AgainstNoise
 from petkin.diagnosis.evidence import two_sided
+from petkin.diagnosis.pooling import mean_strength
 
 from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
 
@@ -83,7 +83,7 @@ def test_the_interval_of_a_mean_holds_it_however_few_tell_its_spread(count: int,
             Strength("amplitude", "1", s, s - 1.645 * error, s + 1.645 * error, signed=True, single=True)
             for s in strengths
         ]
-        pooled = _pooled(found)
+        pooled = mean_strength(found)
         assert pooled is not None
         held += pooled.interval.low <= np.exp(0.5 * 0.25**2) <= pooled.interval.high
     assert 0.87 <= held / 400 <= 0.98
@@ -95,7 +95,7 @@ def test_an_error_that_all_have_alike_is_not_averaged_away() -> None:
     half = 1.645 * np.hypot(noise, 0.1 * 1.1)
     read = 1.1 + noise * rng.standard_normal(20)
     one = [Strength("amplitude", "mm", s, s - half, s + half, signed=False, single=True, alike=0.1) for s in read]
-    pooled = _pooled(one)
+    pooled = mean_strength(one)
     assert pooled is not None
     assert pooled.interval.low < 1.0 < pooled.interval.high
     assert pooled.interval.high - pooled.interval.low == pytest.approx(2.0 * 1.645 * 0.1 * 1.1, rel=0.05)
@@ -164,7 +164,7 @@ def test_evidence_is_the_integral_over_prevalence_strength_and_spread() -> None:
     strengths = np.array([3.0, 2.0, 3.5])
     own = two_sided(strengths)
     members = [member(f"m{i}", float(e), float(s)) for i, (e, s) in enumerate(zip(own, strengths, strict=True))]
-    background = np.array([m.background for m in members])
+    background = np.stack([m.background for m in members], axis=-1)
     prevalences, means = np.linspace(0.15, 0.99, 43), np.geomspace(0.8, 80.0, 2000)
     logs = []
     for mean in np.concatenate([means, -means]):
@@ -177,8 +177,14 @@ def test_evidence_is_the_integral_over_prevalence_strength_and_spread() -> None:
 
 
 def _mixed(own: np.ndarray, background: np.ndarray, prevalences: np.ndarray) -> float:
-    each = [np.log((1 - p) * np.exp(background) + p * np.exp(own)).sum(axis=1) for p in prevalences]
-    return float(np.log(np.exp(np.array(each) - background.sum()).mean()))
+    """Over prevalences, values in common, and how often members have a gap of another cause."""
+    without, count = np.exp(background[:, None, None]), own.shape[-1]
+    p = prevalences[:, None, None]
+    each, p1 = (1 - p) * without + p * np.exp(own), prevalences[:, None]
+    few = ((1 - p) * without).prod(axis=-1) * (1 + (p / (1 - p) * np.exp(own) / without).sum(axis=-1))
+    two = 1 - (1 - p1) ** count - count * p1 * (1 - p1) ** (count - 1)
+    shared = (each.prod(axis=-1) - few) / two
+    return float(np.log(shared.mean(axis=(1, 2)).sum() / without.prod(axis=-1).sum()))
 
 
 def test_a_pair_that_one_member_has_is_not_what_all_share() -> None:
@@ -245,6 +251,6 @@ def test_one_member_with_a_gap_of_no_name_shares_it_with_none() -> None:
 
 def test_sizes_in_other_channels_or_units_have_no_mean() -> None:
     one = Strength("amplitude", "1", 0.1, 0.05, 0.15, signed=True, single=False, channel="putamen")
-    assert _pooled([one, replace(one, value=0.12)]) is not None
-    assert _pooled([one, replace(one, channel="lesion")]) is None
-    assert _pooled([replace(one, single=True), replace(one, single=True, unit="mm")]) is None
+    assert mean_strength([one, replace(one, value=0.12)]) is not None
+    assert mean_strength([one, replace(one, channel="lesion")]) is None
+    assert mean_strength([replace(one, single=True), replace(one, single=True, unit="mm")]) is None

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from petkin import __version__
-from petkin.diagnosis import CLAIM, Cohort, Group, SharedCause
+from petkin.diagnosis import CLAIM, Cohort, Group, Interval, SharedCause
 from petkin.effects import effect_named
 from petkin.study.diagnosis.answer import rounded, words
 
@@ -62,20 +62,24 @@ def _member(label: str, one: dict[str, Any]) -> dict[str, Any]:
 def _cause(cause: SharedCause, found: Cohort) -> dict[str, Any]:
     strength = None
     if cause.mean is not None:
-        bounds = {"value": cause.mean.value, "low": cause.mean.low, "high": cause.mean.high, "unit": cause.unit}
-        strength = {**bounds, "between_scans_sd": cause.between}
-    prevalence = cause.prevalence
+        strength = _interval(cause.mean) | {"unit": cause.unit, "between_scans_sd": cause.between}
     return {
         "effects": list(cause.effects),
         "probability": cause.probability,
         "log_evidence_gain": cause.log_evidence,
-        "prevalence": {"value": prevalence.value, "low": prevalence.low, "high": prevalence.high},
+        "prevalence": _interval(cause.prevalence),
         "amplitude": strength,
+        "onset": None if cause.onset is None else _interval(cause.onset) | {"unit": "min"},
+        "closure": None if cause.closure is None else _interval(cause.closure),
         "members": [
             {"subject": member.label, "probability": share, "amplitude": _strength(member.strengths.get(cause.label))}
             for member, share in zip(found.members, cause.carriers, strict=True)
         ],
     }
+
+
+def _interval(found: Interval) -> dict[str, Any]:
+    return {"value": found.value, "low": found.low, "high": found.high}
 
 
 def _strength(strength: Any) -> dict[str, Any] | None:
@@ -130,6 +134,11 @@ def _of_group(group: Group, count: int) -> str:
     if leader.mean is not None:
         unit = "" if leader.unit == "1" else f" {leader.unit}"
         size = f", {leader.mean.value:.3g}{unit} on average ({leader.mean.low:.3g} to {leader.mean.high:.3g})"
+    if leader.onset is not None:
+        size += f", from {leader.onset.value:.3g} min on ({leader.onset.low:.3g} to {leader.onset.high:.3g})"
+    if leader.closure is not None:
+        closed = leader.closure
+        size += f", and explains {closed.value:.0%} of their gaps ({closed.low:.0%} to {closed.high:.0%})"
     text = f"{words(leader.label).capitalize()} is shared by {_number(leader)} of {count} scans{size}"
     if len(group.chosen) == 1:
         return f"{text}."

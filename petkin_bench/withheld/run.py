@@ -140,6 +140,7 @@ def _judged_cohort(plan: Plan, index: int) -> tuple[dict[str, object], dict[str,
         "detectability": ";".join(f"{strength:.4f}" for strength in truth.detectability),
         "sizes": ";".join(f"{size:.6g}" for size in truth.sizes),
         "size": round(truth.size, 6),
+        "onset": round(truth.onset, 4),
     }
     return answer, _sealed(answer) | cohort_verdict(scans, seed=index, draws=plan.draws)
 

@@ -84,6 +84,20 @@ def test_a_cause_of_no_name_is_in_all_scans(of_kind) -> None:
     assert (answer.name, answer.same, answer.other) == ("", (), ())
 
 
+def test_moments_are_those_of_each_scan_or_of_all(of_kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cases, "KNOWN", tuple(c for c in cases.KNOWN if c.name == "gain_step"))
+    monkeypatch.setattr(cases, "_OTHER_FORM", 0.0)
+    drawn: list[float] = []
+    kept = cases.made_of
+    monkeypatch.setattr(cases, "made_of", lambda s, c, d, size: drawn.append(d.onset) or kept(s, c, d, size))
+    for at_once in (1.0, 0.0):
+        monkeypatch.setattr(cases, "_AT_ONCE", at_once)
+        drawn.clear()
+        answer = of_kind("all", 1)
+        assert (answer.onset >= 0) == bool(at_once)
+        assert len(set(drawn)) == (1 if at_once else SCANS)
+
+
 def judged(**cells: str) -> Judged:
     usual = {
         "kind": "all",
@@ -103,6 +117,9 @@ def judged(**cells: str) -> Judged:
         "mean_low": "0.04",
         "mean_high": "0.06",
         "size": "-0.05",
+        "onset": "-1.0",
+        "onset_low": "",
+        "onset_high": "",
         "groups": "gain_step",
         "further": "",
         "unnamed": "",
@@ -110,6 +127,16 @@ def judged(**cells: str) -> Judged:
         "seconds": "3.0",
     }
     return Judged(usual | cells)
+
+
+def test_moments_by_hand() -> None:
+    held = judged(onset="30.0", onset_low="28.0", onset_high="31.0")
+    off, unsaid = judged(onset="30.0", onset_low="31.0", onset_high="33.0"), judged(onset="30.0")
+    own = judged(onset_low="28.0", onset_high="31.0")
+    found = {m.name.split(": ")[1]: (m.value, m.cases) for m in cohort_metrics([held, off, unsaid, own, judged()])}
+    assert found["a moment in common is said"] == (pytest.approx(2 / 3), 3)
+    assert found["its interval holds it"] == (0.5, 2)
+    assert found["moments of their own said to be one"] == (0.5, 2)
 
 
 def test_scores_by_hand() -> None:

@@ -1,7 +1,7 @@
 """Cohort cases: scans as the product sees them, and apart from them the answer; both follow from split, seed and index.
 
-One scanner, tracer and law of noise; every scan has a subject, a moment and a place of its own. Sizes of a shared cause
-are log-normal about one size.
+One scanner, tracer and law of noise; every scan has a subject and a place of its own. Sizes of a shared cause
+are log-normal about one size; its moment is that of each scan or, in half of the cohorts, one for all.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ BINS, _APART, _OTHER_FORM = ((2.0, 4.0), (4.0, 6.0), (6.0, 10.0)), (5.0, 10.0), 
 _PLAIN: tuple[Cause, ...] = tuple(c for c in KNOWN if not c.flag)
 #: Standard deviation of the logarithm of sizes; how often a scan has what only some have, and how many do at least.
 SPREAD, SHARE, _LEAST = 0.25, 0.5, 2
+#: How often scans have the moment (or frame) of a cause in common; up to seed 36 never.
+_AT_ONCE = 0.5
 #: What sets cohorts apart from single scans of the same seed.
 _STREAM = 11
 
@@ -63,6 +65,7 @@ class CohortAnswer:
     sizes: tuple[float, ...]
     size: float
     other: tuple[str, ...] = ()
+    onset: float = -1.0
 
 
 def cohort_case(split: str, seed: int, index: int, scans: int, regions: int = 5) -> tuple[list[Scan], CohortAnswer]:
@@ -98,7 +101,8 @@ def _shared(scenes: list[Scene], split: str, kind: str, noise: str) -> tuple[lis
     holds = np.ones(len(scenes), bool) if kind == "all" else _some(rng, len(scenes))
     first = single(scenes[0], causes, target=float(rng.uniform(*BINS[int(rng.integers(len(BINS)))])))
     scenes = [replace(scene, percent=first.percent) for scene in scenes]
-    made = _held(scenes, first, holds)
+    at_once = bool(rng.random() < _AT_ONCE)
+    made = _held(scenes, first, holds, at_once)
     answer = CohortAnswer(
         kind=kind,
         noise=noise,
@@ -109,6 +113,7 @@ def _shared(scenes: list[Scene], split: str, kind: str, noise: str) -> tuple[lis
         detectability=_strengths(made),
         sizes=tuple(0.0 if m is None else m.size for m in made),
         size=first.drawn.sign * first.size,
+        onset=first.drawn.onset if at_once and first.cause.onset else -1.0,
     )
     return _scans(scenes, made, noise), answer
 
@@ -117,11 +122,12 @@ def _two(scenes: list[Scene], noise: str) -> tuple[list[Scan], CohortAnswer]:
     """One cause in some scans and in the rest another that could not be taken for it, at strengths that one shows."""
     rng = scenes[0].rng
     holds = _some(rng, len(scenes), rest=min(_LEAST, len(scenes) - _LEAST))
+    at_once = bool(rng.random() < _AT_ONCE)
     for _ in range(TRIES):
         first, second = (single(scenes[0], _PLAIN, target=float(rng.uniform(*_APART))) for _ in range(2))
         percent = min(first.percent, second.percent)
         quiet = [replace(scene, percent=percent) for scene in scenes]
-        one, two = _held(quiet, first, holds), _held(quiet, second, ~holds)
+        one, two = _held(quiet, first, holds, at_once), _held(quiet, second, ~holds, at_once)
         same, other = _same(quiet, one), _same(quiet, two)
         if same and other and not set(same) & set(other) and first.cause is not second.cause:
             break
@@ -129,16 +135,18 @@ def _two(scenes: list[Scene], noise: str) -> tuple[list[Scan], CohortAnswer]:
         raise RuntimeError(f"No two causes of classes of their own in {TRIES} draws.")
     made = [m if m is not None else n for m, n in zip(one, two, strict=True)]
     strengths, sizes = _strengths(made), tuple(0.0 if m is None else m.size for m in one)
-    answer = CohortAnswer("two", noise, percent, first.cause.name, "known", same, strengths, sizes, 0.0, other)
+    onset = first.drawn.onset if at_once and first.cause.onset else -1.0
+    answer = CohortAnswer("two", noise, percent, first.cause.name, "known", same, strengths, sizes, 0.0, other, onset)
     return _scans(quiet, made, noise), answer
 
 
 def _unnamed(scenes: list[Scene], split: str, noise: str) -> tuple[list[Scan], CohortAnswer]:
     """A cause of no name in all, of a strength beyond names that one shows."""
     target = float(scenes[0].rng.uniform(*_APART))
+    at_once = bool(scenes[0].rng.random() < _AT_ONCE)
     first = single(scenes[0], UNKNOWN[split], target=target, of_unknown=True)
     scenes = [replace(scene, percent=first.percent) for scene in scenes]
-    made = _held(scenes, first, np.ones(len(scenes), bool))
+    made = _held(scenes, first, np.ones(len(scenes), bool), at_once)
     sizes = (0.0,) * len(scenes)
     answer = CohortAnswer("unnamed", noise, first.percent, "", "", (), _strengths(made), sizes, 0.0)
     return _scans(scenes, made, noise), answer
@@ -152,11 +160,13 @@ def _some(rng: np.random.Generator, scans: int, *, rest: int = 1) -> NDArray[np.
     return holds
 
 
-def _held(scenes: list[Scene], first: Made, holds: NDArray[np.bool_]) -> list[Made | None]:
-    """A cause in the scans that hold it, each at a moment, a place and a size of its own."""
+def _held(scenes: list[Scene], first: Made, holds: NDArray[np.bool_], at_once: bool) -> list[Made | None]:
+    """A cause in the scans that hold it, each at a place and a size of its own, and at a moment, or all at once."""
     made: list[Made | None] = []
+    alike = {"sign": first.drawn.sign, "length": first.drawn.length}
+    alike |= {"onset": first.drawn.onset, "frame": first.drawn.frame} if at_once else {}
     for scene, held in zip(scenes, holds, strict=True):
-        drawn = replace(draw(scene.rng, scene.subject), sign=first.drawn.sign, length=first.drawn.length)
+        drawn = replace(draw(scene.rng, scene.subject), **alike)
         size = first.size * float(np.exp(SPREAD * scene.rng.standard_normal()))
         made.append(made_of(scene, first.cause, drawn, size) if held else None)
     return made

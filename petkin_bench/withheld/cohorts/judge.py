@@ -34,6 +34,7 @@ def cohort_verdict(scans: Sequence[Scan], *, seed: int, draws: int) -> dict[str,
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     mean = None if leader is None else leader.mean
+    moment = None if leader is None else leader.onset
     return said_of(found) | {
         "carriers": "" if leader is None else ";".join(f"{share:.4f}" for share in leader.carriers),
         "prevalence_low": "" if leader is None else leader.prevalence.low,
@@ -42,6 +43,8 @@ def cohort_verdict(scans: Sequence[Scan], *, seed: int, draws: int) -> dict[str,
         "mean_low": "" if mean is None else mean.low,
         "mean_high": "" if mean is None else mean.high,
         "unit": "" if leader is None else leader.unit,
+        "onset_low": "" if moment is None else moment.low,
+        "onset_high": "" if moment is None else moment.high,
         "further": ";".join(group.causes[0].label for group in found.further),
         "unnamed": "" if found.unnamed is None else ";".join(f"{share:.4f}" for share in found.unnamed.carriers),
         "each": ";".join(one.causes[0].label if one.kind in ("named", "ambiguous") else "" for one in alone),

@@ -50,6 +50,9 @@ def cohort_metrics(cases: Sequence[Judged]) -> list[Metric]:
             "prevalence interval holds it, held by some", [_holds_prevalence(c) for c in right if c.kind == "some"]
         ),
         share_of("interval of the mean size holds it", [_holds_size(c) for c in right if _is_sized(c)]),
+        share_of("a moment in common is said", [bool(c.cells["onset_low"]) for c in right if _begins(c)]),
+        share_of("its interval holds it", [_holds_moment(c) for c in right if _begins(c) and c.cells["onset_low"]]),
+        share_of("moments of their own said to be one", [bool(c.cells["onset_low"]) for c in right if not _begins(c)]),
         calibration_of(cases),
         Metric("CPU s a scan, median", _seconds(cases), len(cases)),
     ]
@@ -126,6 +129,15 @@ def _holds_size(case: Judged) -> bool:
     """The mean of what is log-normal about a size."""
     mean = abs(case.number("size")) * float(np.exp(0.5 * SPREAD**2))
     return holds(case.number("mean_low"), case.number("mean_high"), mean)
+
+
+def _begins(case: Judged) -> bool:
+    """Whether its scans have a moment in common."""
+    return case.number("onset") >= 0.0
+
+
+def _holds_moment(case: Judged) -> bool:
+    return holds(case.number("onset_low"), case.number("onset_high"), case.number("onset"))
 
 
 def _seconds(cases: Sequence[Judged]) -> float:

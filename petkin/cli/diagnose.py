@@ -71,6 +71,8 @@ def diagnose(
     """Find where a simulator and a scan part, which unmodelled effect causes it, and how far the gap shrinks with it.
 
     The simulator is the tissue model with the effects that --include names; all else in the catalogue is a candidate.
+    Of several scans it also says what they share, in group_desc-gap_report.html: a cause too weak for each may be clear
+    in all of them.
 
     Example: petkin diagnose study --model 2tcm --include blood_volume --include arterial_delay
     """

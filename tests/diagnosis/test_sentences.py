@@ -25,6 +25,11 @@ def test_no_gap(calm: Diagnosis) -> None:
     assert said == f"The simulator explains these data: no gap beyond the noise (p = {calm.p_value:.2g})."
 
 
+def test_a_p_value_near_the_limit_says_where_that_is(calm: Diagnosis) -> None:
+    near = replace(calm, noise=replace(calm.noise, share=0.1), p_value=0.041)
+    assert sentence(near).endswith("no gap beyond the noise (p = 0.041; a gap is claimed at 0.03).")
+
+
 def test_what_could_hide_is_said_where_noise_is_shared_or_a_region_alone(calm: Diagnosis) -> None:
     assert "56% of the noise, could hide a change of all." in sentence(
         replace(calm, noise=replace(calm.noise, share=0.56))

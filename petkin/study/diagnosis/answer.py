@@ -10,7 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin import __version__
-from petkin.diagnosis import DRIVE, ONE, WITHIN, Cause, Diagnosis, Estimate, State, Visible, indistinct, witnessed
+from petkin.diagnosis import (
+    CLAIM,
+    DRIVE,
+    ONE,
+    WITHIN,
+    Cause,
+    Diagnosis,
+    Estimate,
+    State,
+    Visible,
+    indistinct,
+    witnessed,
+)
 from petkin.effects import effect_named
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.imaging import PLANES
@@ -43,6 +55,8 @@ _WAYS = (
 _DIGITS = 6
 #: The smallest d' that is said as a number; share of noise common to frames in which much could hide.
 _LEAST, _MUCH = 0.01, 0.3
+#: P-value below which a reader wants to know from which on there is a gap.
+DOUBTFUL = 0.1
 
 
 def answer(
@@ -183,7 +197,8 @@ def split_by(found: Diagnosis) -> str | None:
 def sentence(found: Diagnosis) -> str:
     """The verdict in one sentence."""
     if found.kind == "none":
-        return f"The simulator explains these data: no gap beyond the noise ({_p(found)}){_hidden(found)}."
+        near = f"; a gap is claimed at {CLAIM:g}" if found.p_value < DOUBTFUL else ""
+        return f"The simulator explains these data: no gap beyond the noise ({_p(found)}{near}){_hidden(found)}."
     if found.kind == "unknown":
         nearest = f"; the nearest is {words(found.causes[0].label)}" if found.causes else ""
         looks = _UNNAMED.get(found.unknown_place, "")

@@ -8,7 +8,7 @@ from typing import Any
 from petkin import __version__
 from petkin.diagnosis import CLAIM, Cohort, Group, Interval, SharedCause
 from petkin.effects import effect_named
-from petkin.study.diagnosis.answer import rounded, words
+from petkin.study.diagnosis.answer import DOUBTFUL, rounded, words
 
 SCHEMA = "petkin-gap-cohort/1"
 #: A scan that carries the cause with more than this probability is counted; for sure with more than the other, as one
@@ -105,7 +105,8 @@ def sentence(found: Cohort) -> str:
     """The verdict on the cohort in one sentence for everything that is shared."""
     count = len(found.members)
     if found.kind == "none":
-        return f"The simulator explains these {count} scans: no gap beyond the noise (p = {found.p_value:.2g})."
+        near = f"; a gap is claimed at {CLAIM:g}" if found.p_value < DOUBTFUL else ""
+        return f"The simulator explains these {count} scans: no gap beyond the noise (p = {found.p_value:.2g}{near})."
     told = [_of_group(group, count) for group in _named(found)]
     if found.unnamed is not None:
         holding = f"{_number(found.unnamed)} of {count} scans hold a gap that no effect of the catalogue explains"

@@ -1,7 +1,7 @@
 """Diagnosis: where a simulator departs from data, which effect it misses, and how far that closes the gap."""
 
 from petkin.diagnosis.alone import each_alone
-from petkin.diagnosis.cohort import Cohort, Group, Member, SharedCause, in_common
+from petkin.diagnosis.cohort import Cohort, Group, SharedCause, in_common
 from petkin.diagnosis.contrasts import Best, Contrasted, Pattern, judge_contrasts
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
@@ -11,13 +11,15 @@ from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_l
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Sighting, Simulator, Term
 from petkin.diagnosis.families import Family, holding
 from petkin.diagnosis.how_far import Interval
+from petkin.diagnosis.member import Member
 from petkin.diagnosis.noise import second_differences
 from petkin.diagnosis.nominal import Base, base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states
+from petkin.diagnosis.strength import Z90, Estimate, Strength
 from petkin.diagnosis.unknown import DRIVE, ONE, WITHIN, Elsewhere
-from petkin.diagnosis.verdict import Z90, Cause, Diagnosis, Estimate, Strength
+from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import PART
 
 __all__ = [

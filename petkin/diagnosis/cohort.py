@@ -16,25 +16,23 @@ than 1 / B. So many may share what none shows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petkin.diagnosis.any_gap import any_gap
-from petkin.diagnosis.detect import CLAIM, AgainstNoise
-from petkin.diagnosis.evidence import SECOND
+from petkin.diagnosis.detect import CLAIM
 from petkin.diagnosis.how_far import Interval
+from petkin.diagnosis.member import Member
 from petkin.diagnosis.pooling import mean_closure, mean_strength, moment
 from petkin.diagnosis.profile import Profile
-from petkin.diagnosis.sets import in_place_of, smallest_set
+from petkin.diagnosis.sets import smallest_set
 from petkin.diagnosis.sharing import Common, Mixture, mixture, together
-from petkin.diagnosis.verdict import Z90, Diagnosis, Strength
+from petkin.diagnosis.strength import Z90, Strength
 
 Array = NDArray[np.float64]
 
-#: Chances, as likely, that a member without a shared cause has no gap.
-_NO_GAP = np.array([0.5, 0.95])
 _LISTED, _NEGLIGIBLE = 8, 0.005
 #: Probability from which on a member's strength counts among the carriers'.
 _CARRY = 0.5
@@ -50,71 +48,6 @@ _IN_COMMON = 0.5
 _GROUPS, _HARDLY = 3, 0.1
 #: What a gap of no name is called among labels.
 UNNAMED = ""
-
-
-@dataclass(frozen=True)
-class Member:
-    """One data set.
-
-    Args:
-        label: its name.
-        p_value: of no gap.
-        evidence: log evidence by explanation, "a" or "a+b".
-        strengths: of single effects.
-        alike: cosines by pair of explanations.
-        against: what speaks for a gap, against draws of noise.
-        unnamed: log evidence of a gap of no name.
-        profiles: how evidence goes with setting and size, of single effects.
-        closures: share of the gap that the likeliest explanations close.
-    """
-
-    label: str
-    p_value: float
-    evidence: Mapping[str, float]
-    strengths: Mapping[str, Strength]
-    alike: Mapping[frozenset[str], float]
-    against: AgainstNoise
-    unnamed: float = -np.inf
-    profiles: Mapping[str, Profile] = field(default_factory=dict)
-    closures: Mapping[str, Interval] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, label: str, found: Diagnosis) -> Member:
-        """A diagnosis as a member of a cohort."""
-        evidence = {name: value for name, (_, value) in found.evidence.items()}
-        evidence |= {cause.label: cause.log_evidence for cause in found.likely}
-        unnamed = in_place_of([*evidence.values()], found.unknown_evidence)
-        closures = {cause.label: cause.closure for cause in found.likely if cause.closure is not None}
-        return cls(
-            label=label,
-            p_value=found.p_value,
-            evidence=evidence,
-            strengths=found.strengths,
-            alike=found.alike,
-            against=found.against,
-            unnamed=unnamed,
-            profiles=found.profiles,
-            closures=closures,
-        )
-
-    def holding(self, names: Sequence[str]) -> float:
-        """Log evidence of all explanations that hold these effects, averaged over the pairs a second could make; of
-        none of them where there are no effects."""
-        if not names:
-            return self.unnamed
-        within = [value for label, value in self.evidence.items() if set(names) <= set(label.split("+"))]
-        if len(names) == 2 and not within:
-            return max(self.evidence.get(name, 0.0) for name in names) - SECOND
-        return float(np.logaddexp.reduce(within)) if within else 0.0
-
-    @property
-    def background(self) -> Array:
-        """Log evidence of no effect, or any one, alone or with any second, as `holding` has it of the likeliest, or a
-        gap of no name; for every chance of no gap (Q,)."""
-        causes = 1 + sum("+" not in label for label in self.evidence)
-        explained = [value + np.log(1 + label.count("+")) for label, value in self.evidence.items()]
-        any_cause = np.log(1 - _NO_GAP) + float(np.logaddexp.reduce([*explained, self.unnamed])) - np.log(causes)
-        return np.asarray(np.logaddexp(np.log(_NO_GAP), any_cause), np.float64)
 
 
 @dataclass(frozen=True)
@@ -329,7 +262,7 @@ def _judged(label: str, members: Sequence[Member], background: Array, like: str 
     """One cause with its evidence; its probability is not known yet."""
     found, at = _shared(label, members, background, like)
     carrying = [i for i, share in enumerate(found.carriers) if share > _CARRY]
-    known, onset = [members[i].strengths[label] for i in carrying if label in members[i].strengths], None
+    known, onset = [s for i in carrying if (s := members[i].strength(label)) is not None], None
     if at and found.settings.sum() > _CARRY:
         onset = moment([setting.get("onset") for setting in at[0].settings], found.settings)
         place = int(found.settings.argmax())

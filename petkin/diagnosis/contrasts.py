@@ -18,7 +18,7 @@ from petkin.diagnosis import evidence
 from petkin.diagnosis.departures import Departure, judge_departures
 from petkin.diagnosis.detect import p_value
 from petkin.diagnosis.families import Family, misfit, root, scored
-from petkin.diagnosis.verdict import Z90
+from petkin.diagnosis.strength import Z90
 
 Array = NDArray[np.float64]
 

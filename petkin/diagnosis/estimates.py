@@ -14,7 +14,7 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term
 from petkin.diagnosis.refit import Fit, shape_of
 from petkin.diagnosis.scan import Scan, starts
-from petkin.diagnosis.verdict import Z90, Estimate, Strength
+from petkin.diagnosis.strength import Z90, Estimate, Strength
 from petkin.diagnosis.where import Place, benjamini_hochberg
 from petkin.diagnosis.which import Candidate, columns_of, informed
 

@@ -19,7 +19,7 @@ from scipy.special import stdtrit
 
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.sharing import LEAST_ERROR, error_of
-from petkin.diagnosis.verdict import Z90, Strength
+from petkin.diagnosis.strength import Z90, Strength
 
 Array = NDArray[np.float64]
 

@@ -11,15 +11,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.effect import Hypothesis
 from petkin.diagnosis.scan import Scan, Template
+from petkin.diagnosis.strength import Strength
 
 Array = NDArray[np.float64]
 
 #: Sizes asked, in plausible ranges.
 _SIZES = np.geomspace(0.01, 3.0, 30)
+#: How far from each setting's strength, in errors, probabilities are asked.
+_ERRORS = np.linspace(-3.0, 3.0, 13)
 #: The least log evidence that tells how far templates are off.
 _LEAST = 1.0
 
@@ -55,6 +59,22 @@ class Profile:
         nearest = np.abs(own - others[:, None]).sum(axis=-1).argmin(axis=-1)
         there = (by[nearest] for by in (self.by_size, self.by_setting, self.values, self.errors, self.missed))
         return Profile(tuple(settings), self.sizes, *there)
+
+    def over_settings(self, strength: Strength) -> Strength:
+        """A strength with the interval that it has where its setting is not known.
+
+        Templates tell it at each setting, as likely as the data make that; where they are off at the likeliest, as
+        after a refit of a strong effect, by the same factor elsewhere."""
+        if len(self.settings) == 1 or np.isnan(self.values).any():
+            return strength
+        best = int(self.by_setting.argmax())
+        weight = np.exp(self.by_setting - self.by_setting[best])
+        ratio = strength.value / self.values[best] if strength.value * self.values[best] > 0 else 1.0
+        values, errors = ratio * self.values, abs(ratio) * self.errors
+        asked = np.sort(np.concatenate([values + k * errors for k in _ERRORS]))
+        below = ndtr((asked[:, None] - values) / errors) @ weight / weight.sum()
+        low, high = np.interp([0.05, 0.95], below, asked)
+        return replace(strength, low=min(strength.low, float(low)), high=max(strength.high, float(high)))
 
     def reaching(self, log_evidence: float) -> Profile:
         """With an average that refits tell: what templates say is wrong by as much where they say most, and by nothing

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis.evidence import mean, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.profile import Profile
-from petkin.diagnosis.verdict import Z90, Estimate, Strength
+from petkin.diagnosis.strength import Z90, Estimate, Strength
 from petkin.jit import njit
 
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,45 +13,10 @@ from petkin.diagnosis.detect import CLAIM, AgainstNoise
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.profile import Profile
 from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.strength import Estimate, Strength
 from petkin.diagnosis.where import PART, Place
 
 Array = NDArray[np.float64]
-
-#: Standard errors to either side of a normal 90 % interval.
-Z90 = 1.6448536269514722
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A fitted quantity of a cause with its 90 % interval.
-
-    Args:
-        effect: whose it is; of a pair one of both.
-        channel: the one that it concerns, where it differs between them; else "".
-    """
-
-    symbol: str
-    unit: str
-    value: float
-    low: float
-    high: float
-    effect: str = field(default="", kw_only=True)
-    channel: str = field(default="", kw_only=True)
-
-
-@dataclass(frozen=True)
-class Strength(Estimate):
-    """The amplitude of an effect.
-
-    Args:
-        signed: whether it may be negative.
-        single: whether there is one, or about the same in all channels; not of what is only there or not.
-        alike: standard deviation, as a share of it, of an error in it that all data sets of a kind have alike.
-    """
-
-    signed: bool
-    single: bool
-    alike: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,20 @@ def test_a_profile_at_other_settings_is_that_at_the_nearest() -> None:
     assert step.on(step.settings) is step
 
 
+def test_a_strength_at_an_unknown_moment_is_as_unsure_as_that_makes_it() -> None:
+    """Of weak steps at any moment, which another moment may suit as well, with the other sign."""
+    held, narrow = [], []
+    for seed, onset in enumerate(np.random.default_rng(1).uniform(2.0, 8.0, 40)):
+        (member,) = stepped([float(onset)], 60 + seed, size=0.03)
+        found, own = member.strength("step"), member.strengths["step"]
+        assert found is not None
+        assert found.low <= own.low <= own.high <= found.high
+        held.append(found.low <= 0.03 <= found.high)
+        narrow.append(own.low <= 0.03 <= own.high)
+    assert np.mean(held) >= 0.85
+    assert np.mean(narrow) <= np.mean(held) - 0.1
+
+
 def test_what_templates_miss_is_added_where_they_say_most() -> None:
     base, noise, _, _ = base_fit(SIMULATOR, measured(np.random.default_rng(3), Term(hypothesis("offset"), 0.1, {})))
     offset = profiles(scan_of(SIMULATOR, noise, base, HYPOTHESES), base.residual)["offset"]

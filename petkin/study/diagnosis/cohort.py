@@ -72,7 +72,7 @@ def _cause(cause: SharedCause, found: Cohort) -> dict[str, Any]:
         "onset": None if cause.onset is None else _interval(cause.onset) | {"unit": "min"},
         "closure": None if cause.closure is None else _interval(cause.closure),
         "members": [
-            {"subject": member.label, "probability": share, "amplitude": _strength(member.strengths.get(cause.label))}
+            {"subject": member.label, "probability": share, "amplitude": _strength(member.strength(cause.label))}
             for member, share in zip(found.members, cause.carriers, strict=True)
         ],
     }

@@ -160,6 +160,7 @@ def weighed(found: Diagnosis, looked: Looked, *, seed: int) -> Diagnosis:
         frame=frame if present else None,
         shown=frozenset(name for name, best in looked.contrasted.best.items() if best.detectability >= _SHOWN),
         strengths=found.strengths | _strengths(found, looked),
+        profiles={name: one for name, one in found.profiles.items() if name not in looked.contrasted.best},
         against=found.against.witnessed(looked.against, np.random.default_rng(seed), times=_TESTS),
     )
 

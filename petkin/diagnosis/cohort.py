@@ -243,15 +243,15 @@ def _shared(
     What a gap of no name has in common is told by the name that it is most like: `like` and what that lacks.
     """
     own = np.array([m.holding(_names(label)) for m in members])
-    if label == UNNAMED and like:
-        named = np.array([m.holding(_names(like)) for m in members])
-        kinds, _ = together(named, [m.strengths.get(like) for m in members], [m.profiles.get(like) for m in members])
-        names = len({name for m in members for name in m.evidence if "+" not in name})
-        beyond = np.maximum(own, _HARDLY_ANY) - np.maximum(named, _HARDLY_ANY)
-        common = [Common(kind.evidence + beyond) for kind in kinds]
-        return mixture(own, common, background, share=_IN_COMMON / max(names, 1)), ()
-    common, at = together(own, [m.strengths.get(label) for m in members], [m.profiles.get(label) for m in members])
-    return mixture(own, common, background, share=_IN_COMMON), at
+    told = like if label == UNNAMED else label
+    named = np.array([m.holding(_names(told)) for m in members]) if told != label else own
+    common, at = together(named, [m.strengths.get(told) for m in members], [m.profiles.get(told) for m in members])
+    if label != UNNAMED:
+        return mixture(own, common, background, share=_IN_COMMON), at
+    names = len({name for m in members for name in m.evidence if "+" not in name})
+    beyond = np.maximum(own, _HARDLY_ANY) - np.maximum(named, _HARDLY_ANY)
+    common = [Common(kind.evidence + beyond) for kind in common]
+    return mixture(own, common, background, share=_IN_COMMON / max(names, 1)), ()
 
 
 def _names(label: str) -> tuple[str, ...]:

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 _SIZES = np.geomspace(0.01, 3.0, 30)
 #: How far from each setting's strength, in errors, probabilities are asked.
 _ERRORS = np.linspace(-3.0, 3.0, 13)
+#: By what factor templates may be off at most.
+_OFF = 3.0
 #: The least log evidence that tells how far templates are off.
 _LEAST = 1.0
 
@@ -53,8 +55,9 @@ class Profile:
         """At the settings that are nearest to others."""
         if settings == self.settings:
             return self
+        symbols = sorted({symbol for one in (*self.settings, *settings) for symbol in one})
         own, others = (
-            np.log1p([[one[symbol] for symbol in self.settings[0]] for one in s]) for s in (self.settings, settings)
+            np.log1p([[one.get(symbol, 0.0) for symbol in symbols] for one in s]) for s in (self.settings, settings)
         )
         nearest = np.abs(own - others[:, None]).sum(axis=-1).argmin(axis=-1)
         there = (by[nearest] for by in (self.by_size, self.by_setting, self.values, self.errors, self.missed))
@@ -69,7 +72,8 @@ class Profile:
             return strength
         best = int(self.by_setting.argmax())
         weight = np.exp(self.by_setting - self.by_setting[best])
-        ratio = strength.value / self.values[best] if strength.value * self.values[best] > 0 else 1.0
+        alike = strength.value * self.values[best] > 0
+        ratio = float(np.clip(strength.value / self.values[best], 1.0 / _OFF, _OFF)) if alike else 1.0
         values, errors = ratio * self.values, abs(ratio) * self.errors
         asked = np.sort(np.concatenate([values + k * errors for k in _ERRORS]))
         below = ndtr((asked[:, None] - values) / errors) @ weight / weight.sum()

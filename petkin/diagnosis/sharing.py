@@ -161,7 +161,7 @@ def together(
     known = [p for p in profiles if p is not None]
     single = all(s is not None and s.single for s in strengths)
     same = [Common(_about_the_same(own, [s for s in strengths if s is not None]))] if single else []
-    if not known or len(known) < len(profiles):
+    if len(known) < len(profiles) or any(p.sizes.size != known[0].sizes.size for p in known):
         return same, ()
     settings = max((p.settings for p in known), key=len)
     if single and len(settings) == 1:

@@ -149,6 +149,17 @@ def test_a_profile_at_other_settings_is_that_at_the_nearest() -> None:
     moved = step.on(({"onset": 1.1}, {"onset": 5.2}, {"onset": 80.0}))
     np.testing.assert_array_equal(moved.by_size, step.by_size[[0, 8, -1]])
     assert step.on(step.settings) is step
+    further = step.on(({"onset": 5.2, "course": 1.0},))
+    np.testing.assert_array_equal(further.by_size, step.by_size[[8]])
+
+
+def test_members_whose_sizes_mean_something_else_have_strengths_alone_in_common(weak: list[Member]) -> None:
+    """As where one has pictures and the others curves."""
+    odd = weak[0].profiles["step"]
+    other = replace(odd, sizes=odd.sizes[:30], by_size=odd.by_size[:, :30])
+    mixed = [replace(weak[0], profiles=weak[0].profiles | {"step": other}), *weak[1:]]
+    cohort = in_common(mixed)
+    assert all(cause.onset is None for cause in cohort.causes if cause.label == "step")
 
 
 def test_a_strength_at_an_unknown_moment_is_as_unsure_as_that_makes_it() -> None:

@@ -103,6 +103,17 @@ class Spread:
         most = np.where(alike, self.about(score, signed), self._each(score, signed))
         return np.logaddexp(most, np.where(alike, one, lone)) - np.log(2.0)
 
+    def at_sizes(self, score: Array, sizes: Array, signed: bool) -> Array:
+        """log B for one G'Pr (n,) of amplitudes of given sizes (Z,): normal about zero, as wide in all channels, or as
+        large in one alone."""
+        turned, variance = (score @ self.axes) ** 2, sizes[:, None] ** 2
+        grown = 1.0 + variance * self.size
+        every = 0.5 * (turned * variance / grown - np.log(grown)).sum(axis=-1) + self._positive(score, signed)
+        lone = sizes[:, None] * score - 0.5 * variance * self.diagonal
+        if signed:
+            lone = np.logaddexp(lone, lone - 2.0 * sizes[:, None] * score) - np.log(2.0)
+        return np.logaddexp(every, mean(lone)) - np.log(2.0)
+
     def about(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
         """log B of amplitudes that are normal about one of them all, as wide as a share of it."""
         count = self.size.shape[-1]

@@ -1,7 +1,8 @@
 """How evidence for an effect goes with its setting and its size, for what several data sets may have in common.
 
-One amplitude a of a template g: log B(s, a) = a g'Pr - a^2 g'Pg / 2. One a channel: normal about zero with a width a in
-all channels, or of that size in one alone, as likely. Both with templates, which are linear.
+One amplitude a of a template g: log B(s, a) = a g'Pr - a^2 (g'Pg + 1 / width^2) / 2, with its prior. One a channel:
+normal about zero with a width a in all channels, or of that size in one alone, as likely. Both with templates, which
+are linear, so that of a glaring gap no more is believed than a few units beyond the average.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ Array = NDArray[np.float64]
 _SIZES = np.geomspace(0.01, 3.0, 30)
 #: How far from each setting's strength, in errors, probabilities are asked.
 _ERRORS = np.linspace(-3.0, 3.0, 13)
+#: How much more evidence there may be at the likeliest setting and size than on average.
+_BEYOND = 15.0
 #: By what factor templates may be off at most.
 _OFF = 3.0
 #: The least log evidence that tells how far templates are off.
@@ -86,7 +89,8 @@ class Profile:
         off = log_evidence - float(evidence.mean(self.by_setting))
 
         def right(log: Array) -> Array:
-            return log + off * np.clip(log / max(float(log.max()), _LEAST), 0.0, 1.0)
+            found = log + off * np.clip(log / max(float(log.max()), _LEAST), 0.0, 1.0)
+            return np.minimum(found, max(log_evidence, 0.0) + _BEYOND)
 
         return replace(self, by_size=right(self.by_size), by_setting=right(self.by_setting))
 
@@ -116,13 +120,15 @@ def _profile(templates: list[tuple[Template, Array, Array, float]], residual: Ar
     by_size, values, errors = [], [], []
     for template, columns, projected, _ in templates:
         score, information = residual @ projected, columns.T @ projected
+        ridge = hypothesis.width**-2.0
         if several:
-            log = _by_channel(score, information, sizes, hypothesis.signed)
+            known = evidence.Spread.of(information + ridge * np.eye(len(information)))
+            log = known.at_sizes(score, sizes, hypothesis.signed)
             values.append(np.nan)
             errors.append(np.nan)
         else:
             toward, tells = float(score.sum()), max(float(information.sum()), 1e-300)
-            log = sizes * toward - 0.5 * sizes**2 * tells
+            log = sizes * toward - 0.5 * sizes**2 * (tells + ridge)
             values.append(toward / tells)
             errors.append(tells**-0.5)
         by_size.append(log + template.told)
@@ -148,14 +154,3 @@ def _sizes(hypothesis: Hypothesis) -> Array:
     found = _SIZES * max(abs(hypothesis.lower), abs(hypothesis.upper))
     one = hypothesis.alike or not hypothesis.by_channel
     return np.concatenate([-found[::-1], found]) if hypothesis.signed and one else found
-
-
-def _by_channel(score: Array, information: Array, sizes: Array, signed: bool) -> Array:
-    size, axes = np.linalg.eigh(information)
-    turned, variance = (score @ axes) ** 2, sizes[:, None] ** 2
-    grown = 1.0 + variance * np.maximum(size, 0.0)
-    every = 0.5 * (turned * variance / grown - np.log(grown)).sum(axis=-1)
-    lone = sizes[:, None] * score - 0.5 * variance * np.diag(information)
-    if signed:
-        lone = np.logaddexp(lone, lone - 2.0 * sizes[:, None] * score) - np.log(2.0)
-    return np.logaddexp(every, evidence.mean(lone)) - np.log(2.0)

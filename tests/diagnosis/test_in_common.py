@@ -108,7 +108,8 @@ def test_profiles_are_likelihood_ratios_beside_the_rest_of_the_fit() -> None:
     place = step.settings.index({"onset": 5.0})
     for size, log in zip(step.sizes[::7], step.by_size[place, ::7], strict=True):
         gain = _objective(base, base.residual) - _objective(base, base.residual - size * template.columns[:, 0])
-        assert log == pytest.approx(0.5 * gain, rel=2e-3, abs=0.1)
+        prior = -0.5 * (size / hypothesis("step").width) ** 2
+        assert log == pytest.approx(0.5 * gain + prior, rel=2e-3, abs=0.1)
     assert step.values[place] == pytest.approx(0.05, abs=4 * step.errors[place])
     assert mean(step.by_setting) == pytest.approx(float(scan.evidence(base.residual)[scan.names.index("step")]))
     assert np.isnan(found["local step"].values).all()
@@ -131,7 +132,10 @@ def test_a_profile_of_channels_is_an_average_over_their_amplitudes() -> None:
     found, rng = profiles(scan, base.residual)["local step"], np.random.default_rng(0)
     i = next(i for i, t in enumerate(scan.templates) if t.hypothesis.name == "local step")
     columns, projected = scan.by_template()[i]
-    score, information = base.residual @ projected, columns.T @ projected
+    score, information = (
+        base.residual @ projected,
+        columns.T @ projected + np.eye(4) * hypothesis("local step").width ** -2.0,
+    )
     place = int(np.abs(found.sizes - 0.03).argmin())
     size = found.sizes[place]
 
@@ -184,6 +188,15 @@ def test_what_templates_miss_is_added_where_they_say_most() -> None:
     assert right.by_size.max() == pytest.approx(offset.by_size.max() + 5.0)
     least = int(np.abs(offset.sizes).argmin())
     assert abs(right.by_size[0, least] - offset.by_size[0, least]) < 0.2 * 5.0
+
+
+def test_a_glaring_gap_is_not_believed_to_have_a_size_beyond_what_it_has_on_average() -> None:
+    gap = Term(hypothesis("local step"), np.array([3.0, -2.0, 4.0, 0.0]), {"onset": 5.0})
+    base, noise, _, _ = base_fit(SIMULATOR, measured(np.random.default_rng(3), gap))
+    for one in profiles(scan_of(SIMULATOR, noise, base, HYPOTHESES), base.residual).values():
+        for own in (-2.0, 30.0, 3000.0):
+            right = one.reaching(own)
+            assert max(right.by_size.max(), right.by_setting.max()) <= max(own, 0.0) + 15.0
 
 
 def test_a_mixture_is_the_sum_over_what_may_be_in_common() -> None:

@@ -365,20 +365,22 @@ def test_the_size_of_an_effect_that_channels_have_unlike() -> None:
     names = tuple("abcde")
     values, errors = np.array([0.02, 0.05, 0.06, 0.055, 0.07]), np.array([0.0005, 0.004, 0.004, 0.004, 0.004])
     unlike = Hypothesis("h", "s", "a", "1", 0.0, 0.2, by_channel=True)
-    local, alike = (_amplitude(Term(replace(unlike, alike=each), values, {}), errors, names) for each in (False, True))
+    local, alike = (
+        _amplitude(Term(replace(unlike, alike=each), values, {}), np.diag(errors**2), names) for each in (False, True)
+    )
     assert (local.value, local.channel) == (0.02, "a")
     assert alike.channel == ""
     assert alike.value == 0.055
     assert alike.low < 0.05
     assert alike.high > 0.06
     same = Term(Hypothesis("h", "s", "a", "1", 0.0, 0.2, by_channel=True, alike=True), np.full(5, 0.05), {})
-    assert _amplitude(same, np.full(5, 0.01), names).value == pytest.approx(0.05)
+    assert _amplitude(same, np.diag(np.full(5, 1e-4)), names).value == pytest.approx(0.05)
 
 
 def test_an_amplitude_that_one_channel_has_is_not_averaged_over_the_others() -> None:
     """However weak it is."""
     one = Term(Hypothesis("h", "s", "a", "1", -0.2, 0.2, by_channel=True), np.array([0.0, 0.03, 0.0]), {})
-    found = _amplitude(one, np.full(3, 0.01), ("a", "b", "c"))
+    found = _amplitude(one, np.diag(np.full(3, 1e-4)), ("a", "b", "c"))
     assert (found.value, found.channel, found.effect) == (0.03, "b", "h")
     assert found.low == pytest.approx(0.03 - 0.01645, abs=1e-4)
 

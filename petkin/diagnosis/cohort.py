@@ -9,8 +9,10 @@ causes is, any of them alike:
 A gap of no name is one cause more. What some members share is then taken for theirs, and the others are asked again
 what they share, until that is nothing; and each cause once more with all the others there.
 
-What is shared is B times as likely as nothing, which it seldom is where there is no gap: with a probability of no more
-than 1 / B. So many may share what none shows.
+What may be shared is B times as likely as nothing; where there is no gap it is so with a probability of at most 1 / B,
+which is a p-value. So a cohort may have a gap that no member shows.
+
+Reference: Vovk V, Wang R. E-values: calibration, combination and applications. Ann Stat 2021;49:1736-1754.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from petkin.errors import InputError
 from petkin.imaging import WAYS, FrameObservation, Motion
 
 Array = NDArray[np.float64]
-_SHARE = "share of the value that comes from the other regions' mean"
+_SHARE = "share of the value that comes from what lies beside"
 
 
 def after(clock: FrameObservation, onset: float) -> Array:
@@ -37,10 +37,14 @@ def _distorting(build: Callable[[ForwardModel, Mapping[str, Any]], Distortion]) 
     return change
 
 
-def _others(x: Any) -> Any:
-    """Mean over the other regions, for each (..., regions, frames)."""
+def _around(x: Any, beside: int) -> Any:
+    """What lies beside each region (..., regions, frames): one of them, or the mean of the others, as of that one."""
     count = x.shape[-2]
-    return (x.sum(axis=-2)[..., None, :] - x) / max(count - 1, 1)
+    others, one = (x.sum(axis=-2)[..., None, :] - x) / max(count - 1, 1), beside - 1
+    if one < 0:
+        return others
+    itself = alike(np.arange(count)[:, None] == one, x)
+    return others * itself + x[..., one : one + 1, :] * ~itself
 
 
 def _factor(change: Any, x: Any) -> Any:
@@ -53,11 +57,13 @@ def _by_region(model: ForwardModel, values: Mapping[str, Any], symbol: str) -> A
 
 
 def _mixing(course: Callable[[FrameObservation, Mapping[str, Any]], Array | float]) -> Change:
-    """The change that mixes each region with the others' mean, by a share that follows a course over the frames."""
+    """The change that mixes each region with what lies beside, by a share that follows a course over the frames."""
 
     def build(model: ForwardModel, values: Mapping[str, Any]) -> Distortion:
-        share = _by_region(model, values, "share")
-        return lambda x, clock: x + (_others(x) - x) * alike(share * course(clock, values), x)
+        share, beside, count = _by_region(model, values, "share"), values["beside"], len(model.regions)
+        if beside not in range(count + 1):
+            raise InputError(f"beside={beside:g}: there are regions 1 to {count}; 0 is the mean of the others.")
+        return lambda x, clock: x + (_around(x, int(beside)) - x) * alike(share * course(clock, values), x)
 
     return _distorting(build)
 
@@ -144,6 +150,10 @@ _TRACKER = "the head tracker's record"
 _BEFORE_AND_AFTER = _TRACKER + ", or images reconstructed before and after the onset"
 _GEOMETRY = "a segmentation from magnetic resonance and the scanner's point spread"
 
+_EVERYWHERE = replace(REGION, start=0.0)
+_BESIDE = replace(
+    REGION, symbol="beside", start=0.0, meaning="number of the region that lies beside; 0 is the others' mean"
+)
 _GAIN = Parameter("gain", "1", 0.05, -0.3, 0.3, meaning="relative change of a region's values")
 _MOVED = Parameter("moved", "mm", 3.0, -10.0, 10.0, meaning="how far the head moves, or its rim where it turns")
 _AXIS = Parameter("axis", "1", 0.0, 0.0, WAYS - 1.0, meaning="0 to 2: along x, y, z; 3 to 5: turned in xy, xz, yz")
@@ -181,8 +191,8 @@ SLOW_MOTION = Effect(
 PARTIAL_VOLUME = Effect(
     name="partial_volume",
     stage="imaging",
-    parameters=ParameterSet((_share(0.1, 0.3, _SHARE), replace(REGION, start=0.0))),
-    meaning="regions hold a share of what lies around them, the same in every frame",
+    parameters=ParameterSet((_share(0.1, 0.3, _SHARE), _BESIDE, _EVERYWHERE)),
+    meaning="regions hold a share of what lies beside them, the same in every frame",
     source="Rousset OG et al. J Nucl Med 1998;39:904-911 (mixing of regions); shares up to 0.3 (small structures)",
     change=_mixing(lambda clock, v: 1.0),
     split_by=_GEOMETRY,
@@ -193,8 +203,8 @@ PARTIAL_VOLUME = Effect(
 MOTION_STEP = Effect(
     name="motion_step",
     stage="imaging",
-    parameters=ParameterSet((_share(0.1, 0.3, _SHARE), _ONSET, replace(REGION, start=0.0))),
-    meaning="the head moves once: from `onset` on, regions hold a share of what lies around them",
+    parameters=ParameterSet((_share(0.1, 0.3, _SHARE), _ONSET, _BESIDE, _EVERYWHERE)),
+    meaning="the head moves once: from `onset` on, regions hold a share of what lies beside them",
     source="Jin X et al. Phys Med Biol 2013, motion of 5 mm: 5 to 10 % in regions",
     change=_mixing(lambda clock, v: after(clock, v["onset"])),
     split_by=_BEFORE_AND_AFTER,
@@ -205,8 +215,8 @@ MOTION_STEP = Effect(
 MOTION_DRIFT = Effect(
     name="motion_drift",
     stage="imaging",
-    parameters=ParameterSet((_share(0.1, 0.3, _SHARE + " at the end"), replace(REGION, start=0.0))),
-    meaning="the head drifts: the share of what lies around a region grows linearly over the scan",
+    parameters=ParameterSet((_share(0.1, 0.3, _SHARE + " at the end"), _BESIDE, _EVERYWHERE)),
+    meaning="the head drifts: the share of what lies beside a region grows linearly over the scan",
     source="range as motion_step",
     change=_mixing(lambda clock, v: _passed(clock)),
     split_by=_TRACKER,

@@ -179,6 +179,9 @@ def _scanner(x: Array, effects: dict[str, dict[str, float]]) -> Array:
         others = (x.sum(axis=0) - x) / (len(x) - 1)
         if name == "motion_step":
             x = x + size * later * (others - x) * (chosen if "region" in e else 1.0)
+        elif name == "motion_between":  # every region enters the next, as when a head turns
+            share = size * np.array([[1.0], [0.2], [0.7], [0.4], [0.9]])
+            x = x + share * later * (np.roll(x, 1, axis=0) - x)
         elif name == "attenuation_mismatch":
             x = x * (1 + size * later * chosen)
         elif name == "gain_step":

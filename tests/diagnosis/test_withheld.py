@@ -21,7 +21,7 @@ from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
 from petkin.study.diagnosis.answer import sentence
 from petkin.study.diagnosis.blood import read_at, reading_nodes
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, hypothesis_of
 
 from . import independent_scan as scan
 
@@ -38,8 +38,9 @@ SINGLES = {
     "motion_step": {"size": 0.1, "onset": 26.0, "region": 2.0},
     "randoms_offset": {"size": 0.03},
     "interrupted_record": {"size": 0.01, "onset": 30.0},
+    "motion_between": {"size": 0.1, "onset": 36.0},
 }
-NAMED = tuple(name for name in SINGLES if name != "interrupted_record")
+NAMED = tuple(name for name in SINGLES if name not in ("interrupted_record", "motion_between"))
 FLAGS = ("mean_life_swap", "decay_applied_twice", "decay_not_applied")
 
 
@@ -129,6 +130,28 @@ def test_a_blunder_is_rarer_than_an_effect() -> None:
     assert flags >= {"mean_life_swap", "decay_applied_twice", "decay_not_applied"}
     assert {h.name for h in found if h.log_odds < 0} == flags
     assert all(h.log_odds == 0 for h in found if not h.flag)
+
+
+def test_what_lies_beside_is_the_mean_of_others_or_one_of_them() -> None:
+    """Half of the probability each; which one is as likely as another. Of many regions few are tried."""
+    simulator = simulator_of(scan.draw(np.random.default_rng(0)))
+    for name in ("partial_volume", "motion_step", "motion_drift"):
+        found = hypothesis_of(effect_named(name), simulator)
+        beside = np.array([each["beside"] for each in found.settings])
+        probability = np.exp(found.told) / len(beside)
+        assert sorted(set(beside)) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+        assert [probability[beside == r].sum() for r in range(6)] == pytest.approx([0.5, *(5 * [0.1])])
+    many = replace(simulator, channels=tuple(map(str, range(24))))
+    assert {each["beside"] for each in hypothesis_of(effect_named("motion_drift"), many).settings} == {0.0, 1.0, 24.0}
+    two = hypothesis_of(effect_named("motion_step"), replace(simulator, channels=scan.REGIONS[:2]))
+    assert {each["beside"] for each in two.settings} == {0.0}
+    assert two.told == ()
+
+
+def test_motion_between_regions_is_in_the_set() -> None:
+    """Where every region enters the next, some more than others, gains of each fit nearly as well."""
+    found = [case(70 + seed, "motion_between", 12.0, seed % 4).answer for seed in range(8)]
+    assert all("motion_step" in answer.chosen for answer in found)
 
 
 def test_noise_is_not_called_a_gap() -> None:

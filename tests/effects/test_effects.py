@@ -43,7 +43,7 @@ CONTRACT = {
 #: Names that are ours.
 BEYOND = {"vascular": "vascular_release"}
 #: Parameters that are zero unless they are given: everywhere, for ever.
-IDLE = ("region", "kr", "course")
+IDLE = ("region", "beside", "kr", "course")
 LAMBDA = math.log(2) / 109.77
 
 
@@ -340,7 +340,7 @@ def test_a_value_beyond_its_plausible_range_is_remarked_on() -> None:
     assert read_injection("motion_step=3,onset=40", imaged=True).remarks == ()
     (remark,) = read_injection("motion_step=3").remarks
     assert "share=3" in remark
-    assert "0 to 0.3 (share of the value that comes from the other regions' mean)" in remark
+    assert "0 to 0.3 (share of the value that comes from what lies beside)" in remark
     (remark,) = read_injection("motion_drift=30", imaged=True).remarks
     assert "moved=30" in remark
     assert "-10 to 10 mm" in remark
@@ -369,6 +369,21 @@ def test_a_picture_is_moved_and_regions_by_what_it_tells(one_tissue: ForwardMode
     drift = read_injection("motion_drift=3,axis=4", imaged=True).into(told).frame_values()
     passed = torch.from_numpy(one_tissue.clock.frames.mid / one_tissue.clock.frames.end[-1])
     torch.testing.assert_close(drift, values + 3.0 * brought * passed)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, torch.as_tensor])
+def test_regions_take_their_share_from_what_lies_beside(kind, one_tissue: ForwardModel) -> None:
+    """Of one region, and that one of the others; as by hand."""
+    frames = one_tissue.clock.frames
+    x = np.array([[1.0], [4.0], [16.0]]) * np.ones(len(frames))
+    share = np.array([0.1, 0.2, 0.5])
+    beside = np.array([4.0, 8.5, 4.0])
+    for name, course in (("partial_volume", 1.0), ("motion_step", frames.start >= 2.0)):
+        given = {"share": share, "beside": 2.0, **({"onset": 2.0} if name == "motion_step" else {})}
+        camera = effect_named(name).inject(one_tissue, given).imaging
+        seen = np.asarray(camera.distortions[-1](kind(x), one_tissue.clock))
+        assert frames.start[frames.start >= 2.0][0] == 2.0
+        np.testing.assert_allclose(seen, x + (share * (beside - x[:, 0]))[:, None] * course, rtol=1e-12)
 
 
 def test_blur_of_a_picture_adds_to_its_point_spread(one_tissue: ForwardModel) -> None:
@@ -414,6 +429,8 @@ def test_options_that_name_nothing_are_refused(text: str, message: str) -> None:
         "parent_fraction=0.3,course=2",
         "gain_step=0.1,onset=nan",
         "attenuation_mismatch=0.1,region=3",
+        "motion_step=0.1,beside=3",
+        "motion_step=0.1,beside=0.5",
     ],
 )
 def test_impossible_strengths_are_refused(text: str, one_tissue: ForwardModel) -> None:

@@ -41,6 +41,8 @@ _CURVED = frozenset({"tissue_heterogeneity"})
 _ACCURACY = 5e-4
 #: Onsets tried: so many for the scanner, so many for the tissue.
 _SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
+#: Regions tried as what lies beside the others: so many of so many, two at least; and at every how many onsets.
+_BESIDE, _SPARSE = 25, 2
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
 #: one effect. Set on training scans, of which it makes the truth likelier taken together.
 _BLUNDER = -3.0
@@ -307,6 +309,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     ]
     if "onset" in effect.parameters.symbols:
         shapes.append(Shape("onset", first, last, sd=np.inf, kinked=True))
+    settings = (*_settings(effect, simulator), *effect.besides(simulator.input))
     return Hypothesis(
         name=effect.name,
         stage=effect.stage,
@@ -314,7 +317,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         unit={"min^-1": "1/min"}.get(amplitude.unit, amplitude.unit),
         lower=amplitude.lower,
         upper=amplitude.upper,
-        settings=(*_settings(effect, simulator), *effect.besides(simulator.input)),
+        settings=settings,
         shapes=tuple(shapes),
         by_channel=bool(effect.regional),
         alike=effect.alike,
@@ -323,6 +326,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
         trust=effect.trust if effect.name in simulator.measured else 1.0,
         least=effect.least,
         log_odds=_BLUNDER if effect.flag else 0.0,
+        told=_told(settings),
     )
 
 
@@ -336,12 +340,30 @@ def _settings(effect: Effect, simulator: RegionalSimulator) -> tuple[dict[str, f
             values = onsets(clock, _SCANNER_ONSETS if scanner else _TISSUE_ONSETS, scanner=scanner)
         elif parameter.symbol == "frame":
             values = tuple(float(k) for k in range(len(clock.frames)))
+        elif parameter.symbol == "beside":
+            chosen = _neighbours(len(simulator.channels))
+            near = [{**setting, "beside": region} for setting in found[::_SPARSE] for region in chosen]
+            found = [*({**setting, "beside": 0.0} for setting in found), *near]
         elif parameter.symbol == "axis":
             assert simulator.moves is not None
             values = tuple(map(float, simulator.moves.ways))
         if values:
             found = [{**setting, parameter.symbol: float(v)} for setting in found for v in values]
     return tuple(found)
+
+
+def _neighbours(regions: int) -> list[float]:
+    """Numbers of regions that may lie beside others: all of few, fewer of many; none where each has but one other."""
+    if regions < 3:
+        return []
+    return np.unique(np.linspace(1, regions, max(_BESIDE // regions, 2)).round()).tolist()
+
+
+def _told(settings: Sequence[Mapping[str, float]]) -> tuple[float, ...]:
+    """How much likelier each is than an average one: what lies beside is the others' mean, or as likely one region."""
+    one = np.array([setting.get("beside", 0.0) > 0 for setting in settings])
+    share = np.where(one, one.mean(), 1.0 - one.mean())
+    return tuple(-np.log(2.0 * share)) if one.any() else ()
 
 
 def hypotheses(

@@ -9,7 +9,7 @@ of the residual; all pairs of columns are looked at as one matrix.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,16 +54,17 @@ def pairs(
         return []
     best = leaders[0].log_evidence
     beside, jointly = _beside(scan, leaders), _jointly(scan, base.residual)
+    alone = {leader.label: leader for leader in leaders if leader.fit is not None}
     found: dict[tuple[str, ...], Candidate] = {}
     for wanted in (*_likeliest(beside, best, _BESIDE), *_likeliest(jointly, best, _JOINTLY)):
-        pair = _refitted(simulator, data, noise, base, wanted)
+        pair = _refitted(simulator, data, noise, base, wanted, alone)
         if pair.names not in found or pair.log_evidence > found[pair.names].log_evidence:
             found[pair.names] = pair
     first = max(found.values(), key=lambda c: c.log_evidence, default=None)
     if first is not None and first.log_evidence > best:
         akin = {key: w for key, w in (jointly | beside).items() if key not in found and set(key) & set(first.names)}
         for wanted in _likeliest(akin, best, _AKIN):
-            pair = _refitted(simulator, data, noise, base, wanted)
+            pair = _refitted(simulator, data, noise, base, wanted, alone)
             found[pair.names] = pair
     return sorted(found.values(), key=lambda c: -c.log_evidence)
 
@@ -73,19 +74,42 @@ def _likeliest(wanted: dict[tuple[str, ...], _Wanted], best: float, most: int) -
     return sorted(close, key=lambda w: -w.score)[:most]
 
 
-def _refitted(simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted: _Wanted) -> Candidate:
+def _refitted(
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted: _Wanted, alone: Mapping[str, Candidate]
+) -> Candidate:
+    """A pair after its refit.
+
+    Found jointly, it has no more evidence than the likelier of both has alone (`alone`, by name) with the other beside
+    it: where amplitudes of both do the same to a channel, and nearly cancel, each alone says little of what both cost.
+    """
     leader = None if wanted.begin is None else wanted.begin.fit
-    start = begun(simulator, data, noise, leader or base, wanted.terms if leader is None else wanted.terms[-1:])
+    terms = wanted.terms
+    if wanted.begin is None:
+        terms = tuple(sorted(terms, key=lambda t: -_known(alone, t.hypothesis.name)))
+    start = begun(simulator, data, noise, leader or base, terms if leader is None else terms[-1:])
     pair = refitted(simulator, data, noise, base, start)
-    pair = as_promised(simulator, data, noise, base, pair, wanted.terms, wanted.score)
+    pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
     if wanted.begin is None or leader is None or pair.fit is None:
-        value = halfway(pair.log_evidence - wanted.excess, wanted.score, wanted.terms)
+        value = halfway(pair.log_evidence - wanted.excess, wanted.score, terms)
+        first = alone.get(terms[0].hypothesis.name)
+        if first is not None and pair.fit is not None:
+            value = min(value, first.log_evidence + _second(first, pair.fit, terms, len(simulator.channels)))
         return replace(pair, log_evidence=value - SECOND)
-    second = after_refit(leader, pair.fit, len(simulator.channels), len(leader.state.terms))
-    second += foreknown(wanted.terms) - foreknown(wanted.begin.terms)
+    second = _second(wanted.begin, pair.fit, terms, len(simulator.channels))
     linear = wanted.score - wanted.begin.log_evidence
-    second = halfway(second - wanted.excess, linear, wanted.terms[-1:])
+    second = halfway(second - wanted.excess, linear, terms[-1:])
     return replace(pair, log_evidence=wanted.begin.log_evidence + second - SECOND)
+
+
+def _known(alone: Mapping[str, Candidate], name: str) -> float:
+    return alone[name].log_evidence if name in alone else -np.inf
+
+
+def _second(first: Candidate, fit: Fit, terms: tuple[Term, ...], channels: int) -> float:
+    """What the second of two terms adds to the log evidence of the first."""
+    assert first.fit is not None
+    more = foreknown(terms) - foreknown(first.terms)
+    return after_refit(first.fit, fit, channels, len(first.fit.state.terms)) + more
 
 
 def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _Wanted]:

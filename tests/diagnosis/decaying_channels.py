@@ -66,6 +66,7 @@ CHANGES = {
     "scale": lambda y, t, a, s: y * (1.0 + a),
     "step": lambda y, t, a, s: y * (1.0 + a * (t >= s["onset"])),
     "local step": lambda y, t, a, s: y + a[..., None] * (t >= s["onset"]),
+    "local gain": lambda y, t, a, s: y * (1.0 + a[..., None] * (t >= s["onset"])),
     "averaged step": lambda y, t, a, s: y * (1.0 + a * np.clip((t - s["onset"]) / (t[1] - t[0]) + 0.5, 0.0, 1.0)),
     "ripple": lambda y, t, a, s: y + a * np.sin(s["pitch"] * t),
     "clipped": lambda y, t, a, s: np.minimum(y, 3.0),

@@ -12,10 +12,10 @@ from scipy.stats import norm
 from petkin.diagnosis import Coordinates, Term, diagnose, evidence
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.nuisance import Projection
-from petkin.diagnosis.pairs import _beside
+from petkin.diagnosis.pairs import _beside, _jointly, _refitted
 from petkin.diagnosis.refit import State, begun, refit
 from petkin.diagnosis.scan import Scan, templates
-from petkin.diagnosis.which import Candidate, refitted
+from petkin.diagnosis.which import Candidate, refitted, singles
 
 from .decaying_channels import HYPOTHESES, DecayingChannels, hypothesis, measured
 
@@ -185,3 +185,21 @@ def test_twenty_amplitudes_that_are_alike_are_no_easier_to_have_than_five() -> N
     assert even[0] - 4.0 < even[1] < even[0] < float(evidence.one_sided(np.array(8.0)))
     half = np.repeat([8.0 / np.sqrt(10), 0.0], 10)
     assert float(many.about(half, False)) < even[1] - 2.0
+
+
+def test_two_that_do_the_same_to_a_channel_explain_no_more_than_one_beside_the_other() -> None:
+    """A gain in two channels, and jumps that would nearly cancel with more of it."""
+    gain = replace(hypothesis("local step"), name="local gain", lower=-0.5, upper=0.5, unit="1")
+    truth, lowered = Term(gain, np.array([0.0, 0.25, 0.2, 0.0]), {"onset": 5.0}), []
+    for seed in range(6):
+        data = measured(np.random.default_rng(seed), truth)
+        base, noise, *_ = base_fit(SIMULATOR, data)
+        asked = [hypothesis("local step"), gain]
+        scan = Scan(templates(SIMULATOR, noise, base, asked), Projection.of_fit(base), None)
+        alone = {found.label: found for found in singles(SIMULATOR, data, noise, base, scan)}
+        wanted = _jointly(scan, base.residual)["local gain", "local step"]
+        free, bound = (_refitted(SIMULATOR, data, noise, base, wanted, known).log_evidence for known in ({}, alone))
+        assert bound < alone["local gain"].log_evidence - 0.5 * evidence.SECOND
+        lowered.append(free - bound)
+    assert min(lowered) > -0.2  # the likelier of both comes first then, from where a refit may end elsewhere
+    assert max(lowered) > 2.0

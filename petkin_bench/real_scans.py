@@ -29,9 +29,10 @@ from petkin.imaging import FrameObservation
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS
 from petkin.study.diagnosis.blood import errors_of
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.judging import diagnose_curves, law_of_noise, laws_in_common
 from petkin.study.diagnosis.preparing import prepared, sources_of
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses, width
+from petkin.study.diagnosis.regional import RegionalSimulator, width
 from petkin.study.diagnosis.request import RECORDED, DiagnoseRequest
 from petkin.study.diagnosis.shared_law import SharedLaw
 from petkin.units import SECONDS_PER_MINUTE

@@ -11,8 +11,9 @@ import numpy as np
 from petkin.diagnosis import Diagnosis, Hypothesis, Member, in_common
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import ALWAYS
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.judging import diagnose_curves, laws_in_common
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.shared_law import SharedLaw
 from petkin_bench.timing import measure
 from petkin_bench.withheld.cases import Scan

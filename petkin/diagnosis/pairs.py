@@ -79,12 +79,13 @@ def _refitted(
 ) -> Candidate:
     """A pair after its refit.
 
-    Found jointly, it has no more evidence than the likelier of both has alone (`alone`, by name) with the other beside
-    it: where amplitudes of both do the same to a channel, and nearly cancel, each alone says little of what both cost.
+    Found jointly, two that both act by channel have no more evidence than the likelier has alone (`alone`, by name)
+    with the other beside it: where amplitudes of both do the same to a channel, and nearly cancel, what is told of each
+    beside the other says little of what both cost.
     """
     leader = None if wanted.begin is None else wanted.begin.fit
-    terms = wanted.terms
-    if wanted.begin is None:
+    terms, both = wanted.terms, all(_is_local(term.hypothesis) for term in wanted.terms)
+    if wanted.begin is None and both:
         terms = tuple(sorted(terms, key=lambda t: -_known(alone, t.hypothesis.name)))
     start = begun(simulator, data, noise, leader or base, terms if leader is None else terms[-1:])
     pair = refitted(simulator, data, noise, base, start)
@@ -92,13 +93,18 @@ def _refitted(
     if wanted.begin is None or leader is None or pair.fit is None:
         value = halfway(pair.log_evidence - wanted.excess, wanted.score, terms)
         first = alone.get(terms[0].hypothesis.name)
-        if first is not None and pair.fit is not None:
+        if first is not None and pair.fit is not None and both:
             value = min(value, first.log_evidence + _second(first, pair.fit, terms, len(simulator.channels)))
         return replace(pair, log_evidence=value - SECOND)
     second = _second(wanted.begin, pair.fit, terms, len(simulator.channels))
     linear = wanted.score - wanted.begin.log_evidence
     second = halfway(second - wanted.excess, linear, terms[-1:])
     return replace(pair, log_evidence=wanted.begin.log_evidence + second - SECOND)
+
+
+def _is_local(hypothesis: Hypothesis) -> bool:
+    """Whether it may act in some channels alone."""
+    return hypothesis.by_channel and not hypothesis.alike
 
 
 def _known(alone: Mapping[str, Candidate], name: str) -> float:

@@ -41,10 +41,11 @@ from petkin.reporting import (
 from petkin.study.diagnosis.answer import answer
 from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.imaged import look_at_image, pictured, weighed
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
 from petkin.study.diagnosis.preparing import prepared, sources_of
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.resting import picture_of

@@ -20,8 +20,9 @@ from petkin.inputs import InputFunction
 from petkin.study.diagnose import ALWAYS
 from petkin.study.diagnosis.answer import onset_frame
 from petkin.study.diagnosis.blood import read_at, reading_nodes
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.judging import diagnose_curves
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin_bench.withheld.cases import Answer, Scan
 from petkin_bench.withheld.noise import KINDS, law
 

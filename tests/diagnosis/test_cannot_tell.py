@@ -15,7 +15,8 @@ import pytest
 from petkin.diagnosis.diagnose import foresee_design
 from petkin.effects import EFFECTS, effect_named
 from petkin.study.diagnosis.answer import cannot_tell
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.hypotheses import hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator
 
 from . import independent_scan as scan
 from .test_withheld import simulator_of

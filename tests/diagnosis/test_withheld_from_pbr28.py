@@ -16,8 +16,9 @@ from petkin.diagnosis.nominal import base_fit
 from petkin.effects import EFFECTS, effect_named
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import ALWAYS
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.preparing import prepared, sources_of
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.request import FITTED, RECORDED, DiagnoseRequest
 
 SUBJECTS = ("cgyu", "flfp")

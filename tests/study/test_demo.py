@@ -14,8 +14,8 @@ from petkin.diagnosis.refit import Fit, State, refit
 from petkin.effects import EFFECTS
 from petkin.study.demo import ask_one_tissue
 from petkin.study.diagnose import ALWAYS
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.preparing import prepared, sources_of
-from petkin.study.diagnosis.regional import hypotheses
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings

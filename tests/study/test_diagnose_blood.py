@@ -18,9 +18,10 @@ from petkin.inputs import InputFunction, from_blood
 from petkin.io import BloodRecord
 from petkin.study.diagnose import diagnose_study
 from petkin.study.diagnosis.blood import recorded_input
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.preparing import prepared, sources_of
 from petkin.study.diagnosis.record import between_errors, fraction_samples, plasma_samples, record_errors, remark
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.request import FITTED, RECORDED, DiagnoseRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings

@@ -14,9 +14,10 @@ from petkin.effects import effect_named
 from petkin.imaging import WAYS, Exchange
 from petkin.io import RegionalCurves
 from petkin.study.diagnose import diagnose_study
+from petkin.study.diagnosis.hypotheses import hypothesis_of
 from petkin.study.diagnosis.including import in_picture, settled
 from petkin.study.diagnosis.preparing import prepared, sources_of
-from petkin.study.diagnosis.regional import RegionalSimulator, hypothesis_of
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings

@@ -14,10 +14,10 @@ import pytest
 from petkin.diagnosis import base_fit, detect, diagnose
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.judging import law_of_noise, scattered
 from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts
 from petkin.study.diagnosis.preparing import prepared, sources_of
-from petkin.study.diagnosis.regional import hypotheses
 from petkin.study.diagnosis.report import _law_of_noise
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Scatter, as_voxels_scatter, evidence_without_gap, look_at_scatter

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from petkin.diagnosis import base_fit
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.judging import law_of_noise, laws_in_common
 from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw
 from petkin.study.diagnosis.preparing import prepared, sources_of
-from petkin.study.diagnosis.regional import RegionalSimulator, hypotheses
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.scatter import Exponents, Scatter
 from petkin.study.diagnosis.shared_law import SharedLaw, of_all, shared_law

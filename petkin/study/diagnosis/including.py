@@ -18,7 +18,8 @@ from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.scan import templates
 from petkin.diagnosis.which import singles
 from petkin.effects import Effect
-from petkin.study.diagnosis.regional import RegionalSimulator, form_of, hypothesis_of, width
+from petkin.study.diagnosis.hypotheses import form_of, hypothesis_of
+from petkin.study.diagnosis.regional import RegionalSimulator, width
 
 Array = NDArray[np.float64]
 

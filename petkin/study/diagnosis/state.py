@@ -33,7 +33,8 @@ from petkin.effects import Camera, Tabulated, Vessels, effect_named
 from petkin.imaging import CountingNoise, FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
 from petkin.learning import Course, Known, Measured, Members, Read, Scene, lacking
-from petkin.study.diagnosis.regional import RegionalSimulator, hypothesis_of
+from petkin.study.diagnosis.hypotheses import hypothesis_of
+from petkin.study.diagnosis.regional import RegionalSimulator
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from petkin.diagnosis import Member, in_common
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import ALWAYS
+from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.judging import diagnose_curves, laws_in_common
-from petkin.study.diagnosis.regional import hypotheses
 from petkin_bench.withheld.cases import Scan
 from petkin_bench.withheld.judge import said_of, simulator_of
 

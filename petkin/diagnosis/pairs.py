@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 #: Causes that a second effect could bring within this of the best are given one; pairs refitted of those found beside
 #: them, jointly, and of those that share a name with the best of them where it beats every single one.
-_WITHIN, _BESIDE, _JOINTLY, _AKIN = 7.0, 6, 5, 4
+_WITHIN, _BESIDE, _JOINTLY, _AKIN = 7.0, 6, 8, 4
 #: Pairs are refitted where the scan puts them within this of the best single cause.
 _CLOSE = 4.0
 #: Columns of a hypothesis that take part in the joint look, what an amplitude costs there, and cosines beyond which two

@@ -14,7 +14,7 @@ from petkin.study.diagnosis.regional import SCANNER, RegionalSimulator, unset
 
 #: Onsets tried: so many for the scanner, so many for the tissue.
 _SCANNER_ONSETS, _TISSUE_ONSETS = 40, 14
-#: Regions tried as what lies beside the others: so many of so many, two at least; and at every how many onsets.
+#: Regions tried as what lies beside the others, times how many there are (two at least); and at every how many onsets.
 _BESIDE, _SPARSE = 25, 2
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
 #: one effect. Set on training scans, of which it makes the truth likelier taken together.

@@ -77,45 +77,47 @@ def _likeliest(wanted: dict[tuple[str, ...], _Wanted], best: float, most: int) -
 def _refitted(
     simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted: _Wanted, alone: Mapping[str, Candidate]
 ) -> Candidate:
-    """A pair after its refit.
-
-    Found jointly, two that both act by channel have no more evidence than the likelier has alone (`alone`, by name)
-    with the other beside it: where amplitudes of both do the same to a channel, and nearly cancel, what is told of each
-    beside the other says little of what both cost.
-    """
-    leader = None if wanted.begin is None else wanted.begin.fit
-    terms, both = wanted.terms, all(_is_local(term.hypothesis) for term in wanted.terms)
-    if wanted.begin is None and both:
-        terms = tuple(sorted(terms, key=lambda t: -_known(alone, t.hypothesis.name)))
-    start = begun(simulator, data, noise, leader or base, terms if leader is None else terms[-1:])
+    """A pair after its refit, as it was found: beside one of both, or jointly. `alone`: those that were refitted."""
+    first, terms = wanted.begin, wanted.terms
+    if first is None or first.fit is None:
+        return _refitted_jointly(simulator, data, noise, base, wanted, alone)
+    start = begun(simulator, data, noise, first.fit, terms[-1:])
     pair = refitted(simulator, data, noise, base, start)
     pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
-    if wanted.begin is None or leader is None or pair.fit is None:
-        value = halfway(pair.log_evidence - wanted.excess, wanted.score, terms)
-        first = alone.get(terms[0].hypothesis.name)
-        if first is not None and pair.fit is not None and both:
-            value = min(value, first.log_evidence + _second(first, pair.fit, terms, len(simulator.channels)))
-        return replace(pair, log_evidence=value - SECOND)
-    second = _second(wanted.begin, pair.fit, terms, len(simulator.channels))
-    linear = wanted.score - wanted.begin.log_evidence
-    second = halfway(second - wanted.excess, linear, terms[-1:])
-    return replace(pair, log_evidence=wanted.begin.log_evidence + second - SECOND)
+    second = _second(first, pair, len(simulator.channels)) - wanted.excess
+    second = halfway(second, wanted.score - first.log_evidence, terms[-1:])
+    return replace(pair, log_evidence=first.log_evidence + second - SECOND)
 
 
-def _is_local(hypothesis: Hypothesis) -> bool:
-    """Whether it may act in some channels alone."""
-    return hypothesis.by_channel and not hypothesis.alike
+def _refitted_jointly(
+    simulator: Simulator, data: Array, noise: Noise, base: Fit, wanted: _Wanted, alone: Mapping[str, Candidate]
+) -> Candidate:
+    """Two that may each act in some channels alone have no more evidence than the likelier with the other beside it.
+
+    Where amplitudes of both do the same to a channel and nearly cancel, each beside the other says little of what both
+    cost.
+    """
+    terms, first = wanted.terms, None
+    if all(term.hypothesis.by_channel and not term.hypothesis.alike for term in terms):
+        known = (alone[term.hypothesis.name] for term in terms if term.hypothesis.name in alone)
+        first = max(known, key=lambda c: c.log_evidence, default=None)
+    if first is not None:
+        terms = tuple(sorted(terms, key=lambda term: term.hypothesis.name != first.label))
+    start = begun(simulator, data, noise, base, terms)
+    pair = refitted(simulator, data, noise, base, start)
+    pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
+    value = halfway(pair.log_evidence - wanted.excess, wanted.score, terms)
+    if first is not None:
+        value = min(value, first.log_evidence + _second(first, pair, len(simulator.channels)))
+    return replace(pair, log_evidence=value - SECOND)
 
 
-def _known(alone: Mapping[str, Candidate], name: str) -> float:
-    return alone[name].log_evidence if name in alone else -np.inf
-
-
-def _second(first: Candidate, fit: Fit, terms: tuple[Term, ...], channels: int) -> float:
-    """What the second of two terms adds to the log evidence of the first."""
+def _second(first: Candidate, pair: Candidate, channels: int) -> float:
+    """What the second effect of a pair adds to the log evidence of the first."""
     assert first.fit is not None
-    more = foreknown(terms) - foreknown(first.terms)
-    return after_refit(first.fit, fit, channels, len(first.fit.state.terms)) + more
+    assert pair.fit is not None
+    more = foreknown(pair.terms) - foreknown(first.terms)
+    return after_refit(first.fit, pair.fit, channels, len(first.fit.state.terms)) + more
 
 
 def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _Wanted]:

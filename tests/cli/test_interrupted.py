@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,8 +28,8 @@ main()
 """
 
 
-def _stopped_in(step: str, number: int, study: Path) -> tuple[int, str]:
-    """Start a fit, send a signal once it reaches `step`; exit status and standard error."""
+def _stopped_in(step: str, number: int, study: Path, until: Callable[[], object] = lambda: True) -> tuple[int, str]:
+    """Start a fit, send a signal once it reaches `step` and `until` holds; exit status and standard error."""
     process = subprocess.Popen(
         [sys.executable, "-c", _SLOW, step, "fit", str(study), "--model", "1TCM", "--delay", "0"],
         cwd=Path(petkin.__file__).parents[1],
@@ -38,6 +40,9 @@ def _stopped_in(step: str, number: int, study: Path) -> tuple[int, str]:
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "there\n"
+    deadline = time.monotonic() + 60
+    while not until() and time.monotonic() < deadline:
+        time.sleep(0.01)
     process.send_signal(number)
     _, err = process.communicate(timeout=60)
     return process.returncode, err
@@ -48,7 +53,7 @@ def _stopped_in(step: str, number: int, study: Path) -> tuple[int, str]:
     [("fit_scan", signal.SIGINT, 130), ("_report", signal.SIGINT, 130), ("write_bytes", signal.SIGTERM, 143)],
 )
 def test_stopped_by_a_signal(study: Path, step: str, number: int, status: int) -> None:
-    """The report is rendered when all tables and maps of the scan already lie in the staging folder."""
+    """The report is rendered while tables and maps of the scan are written to the staging folder."""
     before = tree(study)
     ended, err = _stopped_in(step, number, study)
     assert (ended, err) == (status, "petkin: interrupted; nothing half-written was left behind.\n")
@@ -59,10 +64,13 @@ def test_stopped_by_a_signal(study: Path, step: str, number: int, status: int) -
 
 def test_killed_outright(study: Path) -> None:
     """No code runs after SIGKILL: a temporary folder stays, but nothing under the name of a result."""
-    _stopped_in("_report", signal.SIGKILL, study)
-    results = [path for path in study.rglob("*mimap*") if ".petkin-" not in str(path)]
-    assert list(study.rglob("*mimap*"))
-    assert not results
+
+    def maps() -> list[Path]:
+        return list(study.rglob("*mimap*"))
+
+    _stopped_in("_report", signal.SIGKILL, study, until=maps)
+    assert maps()
+    assert not [path for path in maps() if ".petkin-" not in str(path)]
     assert not (study / "derivatives" / "petkin").exists()
 
 

@@ -161,12 +161,18 @@ class Coordinates:
         symbols: names.
         mean, sd: of the prior; an infinite sd is none.
         step: for difference quotients.
+        begun: where a fit begins; None where that is the mean.
     """
 
     symbols: tuple[str, ...]
     mean: Array
     sd: Array
     step: Array
+    begun: Array | None = None
+
+    @property
+    def start(self) -> Array:
+        return self.mean if self.begun is None else self.begun
 
     def __len__(self) -> int:
         return len(self.symbols)

@@ -26,7 +26,7 @@ def base_fit(simulator: Simulator, data: Array) -> Base:
     bends = np.diff(data / spread, n=2, axis=1) / np.sqrt(6.0)
     size = np.full(len(data), np.median(np.abs(bends)) / 0.6745)
     noise = Noise(spread, np.maximum(size, 1e-9 * np.abs(data / spread).max()), 0.0)
-    shared = simulator.shared.mean
+    shared = simulator.shared.start
     fits = [refit(simulator, data, noise, State(own, shared)) for own in simulator.starts]
     base = min(fits, key=lambda f: f.objective)
     flexible = from_flexible(data, spread, simulator.flexible(base.state.shared))

@@ -35,7 +35,12 @@ def noise_free(folder: Path) -> tuple[Path, Path]:
 
 
 def spoilt(
-    folder: Path, *, fwhm: float = 0.0, moved_mm: tuple[float, float, float] = (0.0, 0.0, 0.0), failing: float = 0.0
+    folder: Path,
+    *,
+    fwhm: float = 0.0,
+    moved_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    failing: float = 0.0,
+    seed: int = 3,
 ) -> Path:
     """A study whose head is blurred, and moves once at 30 min, or where planes of detectors lose a share of the counts
     about then; with noise of counts."""
@@ -44,7 +49,7 @@ def spoilt(
     values = np.asarray(image.dataobj, np.float64)
     sidecar = json.loads(path.with_name("sub-01_pet.json").read_text())
     start, duration = np.array(sidecar["FrameTimesStart"]), np.array(sidecar["FrameDuration"])
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     size = NOISE * np.sqrt(values.mean(axis=3).max() * 300.0 / duration)
     for k, frame in enumerate(np.moveaxis(values, -1, 0)):
         seen = gaussian_filter(frame, fwhm / 2.3548 / VOXEL) if fwhm else frame.copy()
@@ -120,9 +125,13 @@ def test_the_map_shows_edges_of_both_signs(moved: Diagnosed) -> None:
     assert "Gap by voxel" in moved.report.read_text()
 
 
-def test_motion_that_is_included_is_no_gap_of_the_image(moved: Diagnosed, tmp_path: Path) -> None:
-    """Neither motion of another course nor a gap of no name stands where it stood, and its edges leave the map."""
-    study = spoilt(tmp_path, moved_mm=(0.0, 3.0, 0.0))
+@pytest.mark.parametrize("seed", [3, 12])
+def test_motion_that_is_included_is_no_gap_of_the_image(moved: Diagnosed, tmp_path: Path, seed: int) -> None:
+    """Neither motion of another course nor a gap of no name stands where it stood, and its edges leave the map.
+
+    With the second seed what motion lowers is much the same either way, and only one of them fits.
+    """
+    study = spoilt(tmp_path, moved_mm=(0.0, 3.0, 0.0), seed=seed)
     request = DiagnoseRequest(study, out=tmp_path / "out", include=(*INCLUDES, "motion_step"))
     (one,) = diagnose_study(request)
     assert one.answer["verdict"]["kind"] == "none"

@@ -6,14 +6,13 @@ amplitudes are refitted with the kinetics in every comparison.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Z90, Base, Estimate, Fit, Hypothesis, base_fit
+from petkin.diagnosis import Z90, Base, Estimate, Fit, Hypothesis, Term, base_fit
 from petkin.diagnosis.diagnose import scan_of
 from petkin.diagnosis.scan import templates
 from petkin.diagnosis.which import singles
@@ -92,7 +91,7 @@ def without(simulator: RegionalSimulator, names: frozenset[str]) -> RegionalSimu
 
 
 def settled(simulator: RegionalSimulator, values: Array, told: Told = _untold) -> RegionalSimulator:
-    """The simulator with the likeliest settings of the effects that it includes.
+    """The simulator with the likeliest settings of the effects that it includes, and how large they begin.
 
     One effect after another, each beside all that have no setting and those found before; of several once more, since
     the first was found without the others.
@@ -104,12 +103,20 @@ def settled(simulator: RegionalSimulator, values: Array, told: Told = _untold) -
     """
     unsettled = [effect for effect in simulator.sized if any(hypothesis_of(effect, simulator).settings)]
     names = {effect.name for effect in unsettled}
-    found: dict[str, Mapping[str, Any]] = {}
+    found: dict[str, tuple[Term, ...]] = {}
     for effect in unsettled * min(len(unsettled), 2):
         found.pop(effect.name, None)
         beside = tuple(e for e in simulator.includes if e.name in found or e.name not in names)
-        found[effect.name] = _setting(replace(simulator, includes=beside, settings=dict(found)), values, effect, told)
-    return replace(simulator, settings=found) if found else simulator
+        found[effect.name] = _found(_with(replace(simulator, includes=beside), found), values, effect, told)
+    return _with(simulator, found)
+
+
+def _with(simulator: RegionalSimulator, found: Mapping[str, Sequence[Term]]) -> RegionalSimulator:
+    """A simulator that includes effects as they were found."""
+    terms = {name: term for name, each in found.items() for term in each}
+    sizes = {name: float(term.amplitude) for name, term in terms.items() if np.ndim(term.amplitude) == 0}
+    settings = {name: terms[name].setting if name in terms else {} for name in found}
+    return replace(simulator, settings=settings, begun=sizes) if found else simulator
 
 
 def in_picture(
@@ -133,19 +140,20 @@ def in_picture(
     forms = tuple(form_of(effect, model) for effect in simulator.includes)
     if forms == simulator.includes and told is None:
         return simulator, based
-    simulator = settled(replace(simulator, includes=forms, settings={}, seen=seen or {}), values, told or _untold)
+    simulator = replace(simulator, includes=forms, settings={}, begun={}, seen=seen or {})
+    simulator = settled(simulator, values, told or _untold)
     return simulator, base_fit(simulator, values)
 
 
-def _setting(simulator: RegionalSimulator, values: Array, effect: Effect, told: Told) -> Mapping[str, Any]:
+def _found(simulator: RegionalSimulator, values: Array, effect: Effect, told: Told) -> tuple[Term, ...]:
     """Of an effect that the simulator lacks, after its refit; none where it could not be seen."""
     based = base_fit(simulator, values)
     base, noise, *_ = based
     hypothesis = told(hypothesis_of(effect, simulator))
     if not _seen(simulator, based, hypothesis):
-        return {}
+        return ()
     (best, *_) = singles(simulator, values, noise, base, scan_of(simulator, noise, base, [hypothesis]))
-    return best.terms[0].setting
+    return best.terms
 
 
 def _seen(simulator: RegionalSimulator, based: Base, hypothesis: Hypothesis) -> bool:

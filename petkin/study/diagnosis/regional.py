@@ -62,6 +62,8 @@ class RegionalSimulator:
         misplaced: where they have evidently moved far, standard deviations of what that adds to each (R, K).
         settings: of included effects by name, parameters beside the amplitude, which are not refitted, each a number or
             one a region; starts of the catalogue for the rest.
+        begun: of included effects by name, the amplitude at which a fit begins: motion either way lowers what a small
+            region holds, so that a fit from none of it may end on the wrong side.
         seen: of included effects by name, how large an image shows them to be.
     """
 
@@ -79,6 +81,7 @@ class RegionalSimulator:
     moves: Exchange | None = None
     misplaced: Array | None = None
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    begun: Mapping[str, float] = field(default_factory=dict)
     seen: Mapping[str, Estimate] = field(default_factory=dict)
     _kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     _departed: dict[bytes, tuple[RegionalSimulator, ...]] = field(
@@ -145,7 +148,11 @@ class RegionalSimulator:
 
     @cached_property
     def _shared(self) -> Coordinates:
-        return _sizes(tuple(e for e in self.sized if not e.regional))
+        effects = tuple(e for e in self.sized if not e.regional)
+        sizes, widths = _sizes(effects), map(width, effects)
+        each = zip(effects, sizes.mean, widths, strict=True)
+        begun = [self.begun[e.name] / wide if e.name in self.begun else mean for e, mean, wide in each]
+        return replace(sizes, begun=np.array(begun))
 
     @property
     def starts(self) -> tuple[Array, ...]:

@@ -67,6 +67,7 @@ class Hypothesis:
         by_channel: whether the amplitude differs between channels.
         alike: whether it is then about the same in all of them, and not in some alone.
         flag: whether it is there or not, at amplitude 1.
+        folded: whether amplitudes of either sign do much the same, so that a refit begins at both.
         split_by: the measurement that would tell it from what looks like it.
         log_odds: what is known of it before the data, beyond that it may be there.
         told: log of how much likelier each setting is than an average one, as far as that is known; none for alike.
@@ -87,6 +88,7 @@ class Hypothesis:
     by_channel: bool = False
     alike: bool = False
     flag: bool = False
+    folded: bool = False
     split_by: str = ""
     log_odds: float = 0.0
     told: tuple[float, ...] = ()

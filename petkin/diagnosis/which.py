@@ -86,7 +86,7 @@ def singles(
         tried: list[Candidate] = []
         patient = glaring or name in flags
         terms = starts(scan, base.residual, each, name, _STARTS)
-        for term in terms:
+        for term in (*terms, *_other_way(terms[0])):
             start = begun(simulator, data, noise, base, (term,))
             tried.append(refitted(simulator, data, noise, base, start, -np.inf if patient else ahead))
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
@@ -104,6 +104,11 @@ def singles(
         near = _from_afar(simulator, data, noise, base, near) if far else near
         found.append(_averaged(near, scan, each, by_name[name]))
     return _with_rest(found, by_name)
+
+
+def _other_way(term: Term) -> tuple[Term, ...]:
+    """A term of as much with the other sign, where that does much the same."""
+    return (replace(term, amplitude=-term.amplitude),) if term.hypothesis.folded else ()
 
 
 def _least(best: float) -> float:

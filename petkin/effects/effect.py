@@ -43,6 +43,7 @@ class Effect:
         regional: parameters that may differ between regions, the amplitude first.
         alike: whether all regions then have about the same amplitude; else it may act in some of them alone.
         flag: whether it is there or not, with no strength of its own.
+        folded: whether amplitudes of either sign do much the same.
         grid: values at which a diagnosis starts, by symbol, of parameters other than the amplitude; those that are not
             named here and not "onset", "frame" or "region" stay at their start.
         besides: more such starts that blood of a kind has, each with all values that it needs.
@@ -62,6 +63,7 @@ class Effect:
     regional: tuple[str, ...] = ()
     alike: bool = False
     flag: bool = False
+    folded: bool = False
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     besides: Callable[[InputFunction], tuple[Mapping[str, float], ...]] = _none
     suits: Callable[[ForwardModel], bool] = _always

@@ -175,6 +175,7 @@ MOTION = Effect(
     meaning="the head moves once, at `onset`: what lies beside a region enters it on one side, and leaves on another",
     source="Jin X et al. Phys Med Biol 2013: 2 to 20 mm",
     change=_moving(lambda clock, v: (v["moved"] * _of_every_frame(clock), after(clock, v["onset"]))),
+    folded=True,
     split_by=_BEFORE_AND_AFTER,
     suits=_told,
 )
@@ -185,6 +186,7 @@ SLOW_MOTION = Effect(
     meaning="the head drifts: it moves evenly over the scan, so far by its end",
     source="1 to 5 mm an hour",
     change=_moving(lambda clock, v: (v["moved"] * _passed(clock), _of_every_frame(clock))),
+    folded=True,
     split_by=_TRACKER,
     suits=_told,
 )

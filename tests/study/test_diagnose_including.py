@@ -169,6 +169,29 @@ def test_motion_takes_the_form_that_a_picture_gives_it(plain: Path) -> None:
     assert in_picture(found, values, (based := base_fit(found, values)))[1] is based
 
 
+def test_a_fit_begins_at_the_motion_that_was_found(plain: Path) -> None:
+    """What motion does to small regions is much the same either way: from none of it a fit would go wrong."""
+    curves, simulator = ready(plain, "motion_step")
+    count, axis, moved = len(curves.names), 1.0, 4.0
+    far = np.array([-8.0, -4.0, -2.0, 0.0, 2.0, 4.0, 8.0])
+    # the first region loses either way, but gains from a little of the right one; the second tells which it was
+    even, odd = -0.012 * far**2 + 0.024 * far, 0.006 * far
+    shares = np.zeros((WAYS, len(far), count, count))
+    shares[int(axis), :, 0, 0], shares[int(axis), :, 1, 1] = even, odd
+    simulator = replace(simulator, moves=Exchange(far, shares))
+    moving = replace(simulator, includes=simulator.includes[:2])
+    fit, *_ = base_fit(moving, curves.values)
+    motion = hypothesis_of(effect_named("motion_step").form("moved"), moving)
+    place = {"onset": LATE, "axis": axis}
+    values = moving.predict(fit.state.own, fit.state.shared, (Term(motion, moved, place),))
+    values += curves.values - fit.values
+    found, (base, *_) = in_picture(simulator, values, base_fit(simulator, values))
+    sizes = dict(zip(found.shared.symbols, base.state.shared * 10.0, strict=True))
+    assert sizes["motion_step"] == pytest.approx(moved, abs=1.0)
+    from_none = replace(found, begun={})
+    assert base.objective < base_fit(from_none, values)[0].objective - 10.0
+
+
 def _change(
     simulator: RegionalSimulator, own: np.ndarray, shared: np.ndarray, motion: Hypothesis, **setting: float
 ) -> np.ndarray:

@@ -308,6 +308,7 @@ def unset(effect: Effect) -> Hypothesis:
         by_channel=bool(effect.regional),
         alike=effect.alike,
         flag=effect.flag,
+        folded=effect.folded,
         split_by=effect.split_by,
         least=effect.least,
     )

@@ -95,13 +95,13 @@ class Spread:
         scores = score.reshape(-1, *size.shape)
         return _together(*map(np.ascontiguousarray, (scores, size, axes))).reshape(score.shape[:-1])
 
-    def by_channel(self, score: Array, alike: NDArray[np.bool_] | bool, signed: NDArray[np.bool_] | bool) -> Array:
+    def by_channel(self, score: Array, alike: bool, signed: bool) -> Array:
         """The same of amplitudes that differ between channels: all of them, or one alone; where alike, by a share of
         themselves or not at all. One amplitude is positive or absent unless it is signed."""
-        one = _of_sign(score.sum(axis=-1) / np.sqrt(self.total), signed)
-        lone = mean(self._lone(score, signed))
-        most = np.where(alike, self.about(score, signed), self._each(score, signed))
-        return np.logaddexp(most, np.where(alike, one, lone)) - np.log(2.0)
+        if alike:
+            one = _of_sign(score.sum(axis=-1) / np.sqrt(self.total), signed)
+            return np.logaddexp(self.about(score, signed), one) - np.log(2.0)
+        return np.logaddexp(self._each(score, signed), mean(self._lone(score, signed))) - np.log(2.0)
 
     def at_sizes(self, score: Array, sizes: Array, signed: bool) -> Array:
         """log B for one G'Pr (n,) of amplitudes of given sizes (Z,): normal about zero, as wide in all channels, or as
@@ -114,16 +114,16 @@ class Spread:
             lone = np.logaddexp(lone, lone - 2.0 * sizes[:, None] * score) - np.log(2.0)
         return np.logaddexp(every, mean(lone)) - np.log(2.0)
 
-    def about(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+    def about(self, score: Array, signed: bool) -> Array:
         """log B of amplitudes that are normal about one of them all, as wide as a share of it."""
         count = self.size.shape[-1]
         size, axes = self.size.reshape(-1, count), self.axes.reshape(-1, count, count)
         scores = score.reshape(-1, *size.shape)
-        both = [_about(*map(np.ascontiguousarray, (s * scores, size, axes))) for s in (1.0, -1.0)]
-        above, below = (found.reshape(score.shape[:-1]) for found in both)
-        return np.where(signed, np.logaddexp(above, below) - np.log(2.0), above)
+        signs = (1.0, -1.0) if signed else (1.0,)
+        each = [_about(*map(np.ascontiguousarray, (sign * scores, size, axes))) for sign in signs]
+        return np.asarray(np.logaddexp.reduce(each).reshape(score.shape[:-1]) - np.log(len(each)), np.float64)
 
-    def alone(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+    def alone(self, score: Array, signed: bool) -> Array:
         """Probability of every channel (..., n) that it alone has an amplitude, and not all of them."""
         lone = self._lone(score, signed)
         every = self._each(score, signed)[..., None] + np.log(lone.shape[-1])
@@ -135,20 +135,20 @@ class Spread:
         """Every channel's amplitude in units of its error (..., n)."""
         return np.asarray((score[..., None, :] @ self.standard)[..., 0, :], np.float64)
 
-    def _lone(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
-        return _of_sign(score / np.sqrt(self.diagonal), np.expand_dims(signed, -1))
+    def _lone(self, score: Array, signed: bool) -> Array:
+        return _of_sign(score / np.sqrt(self.diagonal), signed)
 
-    def _each(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+    def _each(self, score: Array, signed: bool) -> Array:
         return self.together(score) + self._positive(score, signed)
 
-    def _positive(self, score: Array, signed: NDArray[np.bool_] | bool) -> Array:
+    def _positive(self, score: Array, signed: bool) -> Array | float:
         """What it adds that amplitudes cannot be negative: twice the chance of each that it is positive, as if that of
         one told nothing of another's."""
-        return np.where(signed, 0.0, (np.log(2.0) + log_ndtr(self.apart(score))).sum(axis=-1))
+        return 0.0 if signed else (np.log(2.0) + log_ndtr(self.apart(score))).sum(axis=-1)
 
 
-def _of_sign(t: Array, signed: NDArray[np.bool_] | bool) -> Array:
-    return np.where(signed, two_sided(t), one_sided(t))
+def _of_sign(t: Array, signed: bool) -> Array:
+    return two_sided(t) if signed else one_sided(t)
 
 
 @njit()

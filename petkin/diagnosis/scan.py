@@ -103,11 +103,9 @@ class Scan:
         (..., templates)."""
         scores = residuals @ self.projected
         found = np.empty((*residuals.shape[:-1], len(self.templates)))
-        if self._by_channel:
-            mine = np.stack([scores[..., self._places[i]] for i in self._by_channel], axis=-2)
-            which = [self.templates[i].hypothesis for i in self._by_channel]
-            alike, signed = np.array([h.alike for h in which]), np.array([h.signed for h in which])
-            found[..., self._by_channel] = self._spread.by_channel(mine, alike, signed)
+        for (alike, signed), (which, spread) in self._by_channel.items():
+            mine = np.stack([scores[..., self._places[i]] for i in which], axis=-2)
+            found[..., which] = spread.by_channel(mine, alike, signed)
         for kind, templates in self._alone.items():
             found[..., templates.which] = kind(scores[..., templates.columns], templates.information)
         return found + self._told
@@ -127,15 +125,14 @@ class Scan:
         return _Alone(np.array(members), np.array([self._places[i].start for i in members]), information)
 
     @cached_property
-    def _by_channel(self) -> list[int]:
-        """Places of templates that have an amplitude a channel."""
-        return [i for i, template in enumerate(self.templates) if template.hypothesis.by_channel]
-
-    @cached_property
-    def _spread(self) -> evidence.Spread:
-        widths = np.array([self.templates[i].hypothesis.width for i in self._by_channel])
-        ridge = widths[:, None, None] ** -2.0 * np.eye(len(self._information[self._by_channel[0]]))
-        return evidence.Spread.of(np.stack([self._information[i] for i in self._by_channel]) + ridge)
+    def _by_channel(self) -> dict[tuple[bool, bool], tuple[list[int], evidence.Spread]]:
+        """Templates that have an amplitude a channel, by whether those are alike and may be negative."""
+        which: dict[tuple[bool, bool], list[int]] = {}
+        for i, hypothesis in enumerate(t.hypothesis for t in self.templates):
+            if hypothesis.by_channel:
+                which.setdefault((hypothesis.alike, hypothesis.signed), []).append(i)
+        each = {kind: np.stack([self.information(i) for i in members]) for kind, members in which.items()}
+        return {kind: (which[kind], evidence.Spread.of(information)) for kind, information in each.items()}
 
     def unknown(self, residuals: Array) -> Array:
         """log evidence of a smooth discrepancy (...)."""

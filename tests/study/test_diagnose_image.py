@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from petkin.diagnosis import Best, Cause, Contrasted, Estimate, Hypothesis, Pattern
+from petkin.diagnosis import Best, Cause, Contrasted, Estimate, Hypothesis, Pattern, Shape
 from petkin.study.diagnose import Diagnosed, diagnose_study
 from petkin.study.diagnosis.answer import cause_entry, sized
-from petkin.study.diagnosis.imaged import _sized
+from petkin.study.diagnosis.imaged import _sized, _timed
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.spatial import Looked
 from petkin.study.simulate import simulate
@@ -247,6 +247,20 @@ def test_mm_are_those_of_whoever_is_surer(evidence: float, error: float, told: b
     cause = Cause(("motion_drift",), ("imaging",), 0.5, 1.0, (regional, axis))
     found = {e.symbol: e.value for e in _sized(cause, Looked(seen, 0.0)).estimates}
     assert found == ({"amplitude": 0.3, "axis": 2.0} if told else {"amplitude": 0.0, "axis": 0.0})
+
+
+@pytest.mark.parametrize(("evidence", "between"), [(9.0, (25.0, 35.0)), (1.0, (2.0, 80.0))])
+def test_what_is_included_sets_in_when_the_image_says(evidence: float, between: tuple[float, float]) -> None:
+    """Regions that hardly show it would have it at any time; an image that is not sure leaves it to them."""
+    seen = [({"axis": 1.0, "onset": t}, 9.0 if t == 30.0 else -3.0) for t in (20.0, 25.0, 30.0, 35.0, 40.0)]
+    pattern = Pattern("motion_step", "motion 1", np.ones((1, 3)), {"axis": 1.0, "onset": 30.0}, course=np.ones(3))
+    best = {"motion_step": Best(pattern, 0.4, 0.3, 0.5)}
+    looked = Looked(Contrasted({"motion_step": evidence}, {"motion_step": seen}, best, 0.5), 0.0)
+    settings = tuple({"axis": 1.0, "onset": t} for t in (20.0, 30.0, 40.0))
+    shapes = (Shape("onset", 2.0, 80.0, sd=np.inf, kinked=True),)
+    hypothesis = Hypothesis("motion_step", "imaging", "moved", "mm", -10.0, 10.0, settings, shapes)
+    (shape,) = _timed(looked, hypothesis).shapes
+    assert (shape.lower, shape.upper) == between
 
 
 def test_voxels_without_a_value_are_said(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from petkin.diagnosis import (
     Elsewhere,
     Estimate,
     Fit,
+    Hypothesis,
     Strength,
     base_fit,
     smallest_set,
@@ -92,7 +94,20 @@ def pictured(
         looked = look(rest, alone, names, seed=seed)
         simulator = moving(simulator, rest)
     sizes = {name: _in_mm(name, looked) for name in _sure(looked)}
-    return *in_picture(simulator, values, based, looked.told, sizes), rest
+    return *in_picture(simulator, values, based, partial(_timed, looked), sizes), rest
+
+
+def _timed(looked: Looked, hypothesis: Hypothesis) -> Hypothesis:
+    """A hypothesis about regions that knows what the image says of it, and sets in when it says so where it is sure."""
+    told, best = looked.told(hypothesis), looked.contrasted.best.get(hypothesis.name)
+    if best is None or "onset" not in best.pattern.setting or looked.contrasted.evidence[hypothesis.name] < _SURE:
+        return told
+    when = _set("onset", hypothesis.name, best, looked.contrasted.settings[hypothesis.name])
+    shapes = (
+        replace(s, lower=max(s.lower, when.low), upper=min(s.upper, when.high)) if s.symbol == "onset" else s
+        for s in told.shapes
+    )
+    return replace(told, shapes=tuple(shapes))
 
 
 def look_at_image(

@@ -8,7 +8,7 @@ from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import ABSORBED, Visible, indistinct, witnessed
 from petkin.diagnosis.detect import CLAIM
 from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_left, foresee_design
-from petkin.diagnosis.effect import Coordinates, Hypothesis, Shape, Sighting, Simulator, Term
+from petkin.diagnosis.effect import Coordinates, Hypothesis, Profiles, Shape, Sighting, Simulator, Term
 from petkin.diagnosis.families import Family, holding
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.member import Member
@@ -51,6 +51,7 @@ __all__ = [
     "Member",
     "Noise",
     "Pattern",
+    "Profiles",
     "Shape",
     "SharedCause",
     "Sighting",

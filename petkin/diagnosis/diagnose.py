@@ -185,7 +185,8 @@ def scan_of(simulator: Simulator, noise: Noise, base: Fit, hypotheses: Sequence[
 
 def _scan(found: Sequence[Template], simulator: Simulator, noise: Noise, base: Fit) -> Scan:
     projection = Projection.of_fit(base)
-    smooth = Smooth.around(base.values, simulator.times, noise, projection, driven(simulator, base))
+    profiles = simulator.departing(base.values)
+    smooth = Smooth.around(profiles, simulator.times, noise, projection, driven(simulator, base))
     return Scan(found, projection, smooth)
 
 
@@ -231,7 +232,7 @@ def _verdict(
     lapse = LAPSE
     if elsewhere is not None:
         unnamed, place, lapse = elsewhere.joined(unnamed), elsewhere.place(unnamed, place), LAPSE_WITHIN
-    named = beside(simulator.times, noise, ranked, elsewhere)
+    named = beside(simulator, noise, ranked, elsewhere)
     probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=lapse)
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
     listed = sorted(listed, key=lambda c: -probability[c.label])

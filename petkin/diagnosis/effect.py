@@ -180,6 +180,24 @@ class Coordinates:
         return len(self.symbols)
 
 
+@dataclass(frozen=True)
+class Profiles:
+    """What channels may depart along at once, each on a smooth course of its own.
+
+    Args:
+        together, alone: where all channels depart alike, and where each does for itself (profiles, C, K).
+    """
+
+    together: Array
+    alone: Array
+
+    @classmethod
+    def of_values(cls, values: Array) -> Profiles:
+        """In proportion to the values (C, K); a channel for itself half in proportion to its level."""
+        level = values.mean(axis=1, keepdims=True)
+        return cls(values[None], (0.5 * values + 0.5 * level)[None])
+
+
 class Simulator(Protocol):
     """What predicts all channels at all samples."""
 
@@ -230,6 +248,10 @@ class Simulator(Protocol):
         Returns:
             no rows where nothing drives the channels, or where it is known for sure.
         """
+        ...
+
+    def departing(self, values: Array) -> Sequence[Profiles]:
+        """Along what channels with such values (C, K) may depart where no named effect is why."""
         ...
 
     def unsure(self, own: Array, shared: Array) -> Array:

@@ -1,11 +1,13 @@
 """A gap of no name: a smooth discrepancy in every channel, orthogonal to what a refit can do.
 
-    delta_c(t) = f_c(t) sum_j w_j phi_j(x) (a_j + b_cj),   x = log(t + 1) or t, rescaled to 0..1,  phi_j = cos(pi j x)
+    delta_c(t) = sum_p g_pc(t) sum_j w_j phi_j(x) (a_pj + b_pcj)
+    x = log(t + 1) or t, rescaled to 0..1,  phi_j = cos(pi j x)
 
-a Gaussian process with a cosine basis, common to all channels, in each for itself, both, or in one of them; or in what
-drives them all, u(t) (1 + sum_j w_j phi_j(x) a_j), as far as they show it. It may also swing: then only three cosines
-that follow on each other are there, in all channels alike or in each. Only what the projection leaves of it counts, so
-that it can never take what the simulator's own parameters, or a named effect's, explain.
+a Gaussian process with a cosine basis, along the profiles g that the simulator names, such as its own values; common to
+all channels, in each for itself, both, or in one of them; or in what drives them, u(t) (1 + sum_j w_j phi_j(x) a_j),
+as far as they show it. It may also swing: then only three cosines that follow on each other are there, in all channels
+alike or in each. Only what the projection leaves of it counts, so that it can never take what the simulator's own
+parameters, or a named effect's, explain.
 
 Reference: Plumlee M. Bayesian calibration of inexact computer models. J Am Stat Assoc 2017;112:1274-1285.
 doi:10.1080/01621459.2016.1211016
@@ -23,7 +25,7 @@ from numpy.typing import NDArray
 
 from petkin.diagnosis import evidence, pattern
 from petkin.diagnosis.covariance import Noise
-from petkin.diagnosis.effect import Simulator
+from petkin.diagnosis.effect import Profiles, Simulator
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
 
@@ -69,22 +71,27 @@ class Smooth:
 
     Args:
         columns: P G of every time scale (n, m).
-        kinds: by time scale and kind: which columns may be there at once (g, k), and their spread; any of the g is as
-            likely.
+        kinds: by time scale and kind: which columns may be there at once (g, k), and their spread, profiles by
+            profiles; any of the g is as likely.
     """
 
     columns: tuple[Array, ...]
-    kinds: tuple[dict[str, tuple[NDArray[np.intp], evidence.Spread]], ...]
+    kinds: tuple[dict[str, list[tuple[NDArray[np.intp], evidence.Spread]]], ...]
     noise: Noise
 
     @classmethod
     def around(
-        cls, values: Array, times: Array, noise: Noise, projection: Projection, driven: Sequence[Array] | None = None
+        cls,
+        profiles: Sequence[Profiles],
+        times: Array,
+        noise: Noise,
+        projection: Projection,
+        driven: Sequence[Array] | None = None,
     ) -> Smooth:
-        """Around predicted values (C, K).
+        """Around what is predicted.
 
         Args:
-            values: predicted.
+            profiles: along any of which channels may depart.
             times: of the samples (K,).
             noise: its covariance.
             projection: what is refitted.
@@ -93,17 +100,20 @@ class Smooth:
         axes = projection.axes[: projection.rows]
         found, kinds = [], []
         for i, scale in enumerate(_SCALES):
-            changes = discrepancies(values, _cosines(scale, times, times))
-            groups = _groups(len(values))
+            cosines = _cosines(scale, times, times)
+            changes, groups = _along(profiles, cosines)
             if driven is not None and len(driven[i]):
-                groups[DRIVE] = np.arange(len(changes), len(changes) + len(driven[i]))[None]
+                groups[DRIVE] = [np.arange(len(changes), len(changes) + len(driven[i]))[None]]
                 changes = np.concatenate([changes, driven[i]])
             columns = noise.whiten(changes).T
             projected = columns - axes @ (axes.T @ columns)
             information = columns.T @ projected
             found.append(projected)
             kinds.append(
-                {k: (g, evidence.Spread.of(information[g[:, :, None], g[:, None, :]])) for k, g in groups.items()}
+                {
+                    kind: [(g, evidence.Spread.of(information[g[:, :, None], g[:, None, :]])) for g in each]
+                    for kind, each in groups.items()
+                }
             )
         return cls(tuple(found), tuple(kinds), noise)
 
@@ -120,23 +130,45 @@ class Smooth:
         found = []
         for columns, kinds in zip(self.columns, self.kinds):
             scores = residuals @ columns
-            found += [(k, evidence.mean(spread.together(scores[..., g]))) for k, (g, spread) in kinds.items()]
+            for kind, groups in kinds.items():
+                logs = np.concatenate([spread.together(scores[..., g]) for g, spread in groups], axis=-1)
+                found.append((kind, evidence.mean(logs)))
         if len(self.noise.size) >= pattern.FEWEST:
             found.append((PATTERN, pattern.log_evidence(pattern.apart(residuals, self.noise))))
         return found
 
 
-def _groups(channels: int) -> dict[str, NDArray[np.intp]]:
-    """Columns of a discrepancy in all channels alike, in each for itself, both, and in one channel alone."""
-    every = np.arange(_COUNT * (1 + channels))
-    common, alone = every[None, :_COUNT], every[None, _COUNT:]
+def _along(profiles: Sequence[Profiles], cosines: Array) -> tuple[Array, dict[str, list[NDArray[np.intp]]]]:
+    """Columns (m, C, K) of a discrepancy along some profiles, and which may be there at once, by kind (g, k)."""
+    found: list[Array] = []
+    groups: dict[str, list[NDArray[np.intp]]] = {}
+    start = 0
+    for several in profiles:
+        count, channels = several.together.shape[:2]
+        found += [discrepancies(*each, cosines) for each in zip(several.together, several.alone, strict=True)]
+        every = start + np.arange(count * _COUNT * (1 + channels)).reshape(count, -1)
+        start += every.size
+        for kind, which in _groups(every[:, :_COUNT], every[:, _COUNT:].reshape(count, _COUNT, channels)).items():
+            groups.setdefault(kind, []).append(which)
+    return np.concatenate(found), groups
+
+
+def _groups(common: NDArray[np.intp], alone: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
+    """Columns of a discrepancy in all channels alike (profiles, cosines), in each (profiles, cosines, C), both, and in
+    one channel alone."""
     bands = np.arange(_COUNT - _BAND + 1)[:, None] + np.arange(_BAND)
-    found = {ALL: common, _SWINGS[ALL]: bands}
+    found = {ALL: common.reshape(1, -1), _SWINGS[ALL]: np.concatenate(common[:, bands], axis=1)}
+    channels = alone.shape[2]
     if channels == 1:
         return found
-    each = alone.reshape(_COUNT, channels)
-    swinging = {_SWINGS[EACH]: each[bands].reshape(len(bands), -1)}
-    return found | {EACH: alone, BOTH: every[None], ONE: each.T} | swinging
+    swinging = np.concatenate(alone[:, bands], axis=1).reshape(len(bands), -1)
+    every = np.concatenate([common[..., None], alone], axis=2)
+    return found | {
+        EACH: alone.reshape(1, -1),
+        BOTH: np.sort(every.reshape(1, -1)),
+        ONE: np.moveaxis(alone, 2, 0).reshape(channels, -1),
+        _SWINGS[EACH]: swinging,
+    }
 
 
 def courses(times: Array) -> tuple[Array, ...]:
@@ -158,19 +190,16 @@ def driven(simulator: Simulator, fit: Fit) -> list[Array]:
     return [simulator.driven(state.own, state.shared, partial(_cosines, scale, times)) for scale in _SCALES]
 
 
-def discrepancies(values: Array, cosines: Array) -> Array:
+def discrepancies(together: Array, alone: Array, cosines: Array) -> Array:
     """Columns (m, C, K) of the discrepancy: one block common to all channels, then one a channel.
 
     Args:
-        values: predicted (C, K).
+        together, alone: a profile (C, K) of all channels, and of each for itself.
         cosines: w_j phi_j of the samples (n, K).
     """
-    level = values.mean(axis=1, keepdims=True)
-    common = cosines[:, None, :] * values[None]
-    alone = np.eye(len(values))[None, :, :, None] * (
-        cosines[:, None, None, :] * (0.5 * values + 0.5 * level)[None, None]
-    )
-    return np.concatenate([common, alone.reshape(-1, *values.shape)])
+    common = cosines[:, None, :] * together[None]
+    each = np.eye(len(alone))[None, :, :, None] * (cosines[:, None, None, :] * alone[None, None])
+    return np.concatenate([common, each.reshape(-1, *alone.shape)])
 
 
 @dataclass(frozen=True)
@@ -205,14 +234,14 @@ class Elsewhere:
 
 
 def beside(
-    times: Array, noise: Noise, ranked: Sequence[Explanation], elsewhere: Elsewhere | None = None
+    simulator: Simulator, noise: Noise, ranked: Sequence[Explanation], elsewhere: Elsewhere | None = None
 ) -> list[float]:
     """log evidence of each explanation with what it leaves explained by a gap of no name beside it; ranked as they are.
 
     A name that a smooth discrepancy cannot stand in for keeps its claim, whatever else is in the data.
 
     Args:
-        times: of the samples.
+        simulator: what is departed from.
         noise: its covariance.
         ranked: explanations, best first; those far down, or without a fit, keep their own evidence.
         elsewhere: what was seen beside the channels.
@@ -222,7 +251,7 @@ def beside(
         fit, value = candidate.fit, candidate.log_evidence
         if fit is not None and looked < _BESIDE:
             projection = Projection.of_fit(fit)
-            smooth = Smooth.around(fit.values, times, noise, projection)
+            smooth = Smooth.around(simulator.departing(fit.values), simulator.times, noise, projection)
             left = float(smooth.evidence(projection.left_of(fit)))
             left += 0.0 if elsewhere is None else elsewhere.beyond(candidate.names)
             more = min(left, _SMALL * max(value, 0.0))

@@ -22,17 +22,17 @@ def diagnose(
     With --effect, one case whose answer is printed (and written); without, every effect of the catalogue at half of its
     range and as many runs without any, appended to petkin_bench/results/moving_bodies.csv.
     """
-    from petkin_bench.gaps import find_body, withheld
+    from petkin_bench.gaps import find_body, runs
     from petkin_bench.provenance import append_rows
 
-    body = withheld.single_flight(find_body(system)) if single_flight else find_body(system)
+    body = runs.single_flight(find_body(system)) if single_flight else find_body(system)
     if effect is None:
-        rows = withheld.measure_body(body, share=0.5, trials=trials, noise=noise, seed=seed)
+        rows = runs.measure_body(body, share=0.5, trials=trials, noise=noise, seed=seed)
         for row in rows:
             typer.echo(f"{row['effect'] or 'nothing':20} d' {row['d_prime']:8}  {row['kind']:10} {row['set']}")
         typer.echo(f"Appended to {append_rows('moving_bodies', [row | {'seed': seed} for row in rows])}")
         return
-    answer = withheld.one_case(body, effect, trials=trials, noise=noise, seed=seed)
+    answer = runs.one_case(body, effect, trials=trials, noise=noise, seed=seed)
     typer.echo(answer["verdict"]["sentence"])
     if out is not None:
         from petkin.io import json_text, write_text
@@ -115,6 +115,10 @@ def withheld(
     scans: Annotated[
         int, typer.Option(help="Of one study, which share a cause or not: 3 to 10 for cohorts.", min=1)
     ] = 1,
+    system: Annotated[
+        str,
+        typer.Option(help="Moving bodies in place of scans: one system of petkin-bench diagnose, or bodies for all."),
+    ] = "",
     examples: Annotated[int, typer.Option(help="Training cases of the network alone (--without engine).")] = 800,
     workers: Annotated[int, typer.Option(help="Processes.", min=1)] = 1,
     work: Annotated[Path, typer.Option(help="Folder of verdicts and answers.")] = Path("bench-withheld"),
@@ -128,13 +132,14 @@ def withheld(
     are scored when all verdicts are there.
     """
     from petkin_bench.provenance import append_rows
+    from petkin_bench.withheld.bodies.score import body_metrics
     from petkin_bench.withheld.cohorts.score import cohort_metrics
     from petkin_bench.withheld.images.score import image_metrics
     from petkin_bench.withheld.run import LEARNED_SEED, Plan, run
     from petkin_bench.withheld.score import joined, metrics, text_of
 
     network = work / f"network_seed{LEARNED_SEED}_regions{regions}_{examples}.safetensors"
-    plan = Plan(split, seed, cases, regions, draws, without, images, network, frames, scans)
+    plan = Plan(split, seed, cases, regions, draws, without, images, network, frames, scans, system)
     if without == "engine" and not network.is_file():
         from petkin_bench.withheld.network import train_network
 
@@ -142,7 +147,8 @@ def withheld(
         typer.echo(f"{examples} training cases are made", err=True)
         train_network(network, seed=LEARNED_SEED, count=examples, regions=regions)
     judged = joined(*run(plan, work, workers=workers, told=lambda n: typer.echo(f"{n} judged", err=True)))
-    found = (image_metrics if images else cohort_metrics if scans > 1 else metrics)(judged)
+    scored = image_metrics if images else cohort_metrics if scans > 1 else body_metrics if system else metrics
+    found = scored(judged)
     typer.echo(text_of(found))
     if results is not None:
         settings = {

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin_bench.gaps.moving import CAMERA, Body, Effects, hypothesis, size
+from petkin_bench.gaps.moving import CAMERA, Body, compiled, hypothesis
 
 Array = NDArray[np.float64]
 
@@ -13,22 +16,19 @@ _WALL, _CANVAS = 5.0, 6.0
 _BOUNCES = "a flight that meets walls: they show the camera's axes"
 
 
-def _law(t: float, q: Array, v: Array, p: Array, e: Effects) -> Array:
-    tilt = size(e, "gravity_tilt")
-    speed = np.sqrt((v**2).sum(axis=-1, keepdims=True))
-    drag = size(e, "drag_linear") * v + size(e, "drag_quadratic") * speed * v
-    spun = size(e, "magnus") * np.stack([-v[..., 1], v[..., 0]], axis=-1)
-    pull = p[0] * np.stack([np.sin(tilt) + 0.0 * q[..., 0], -np.cos(tilt) + 0.0 * q[..., 0]], axis=-1)
-    return pull - drag + spun + np.array([1.0, 0.0]) * size(e, "wind")
+@compiled
+def _law(t: float, q: Array, v: Array, p: Array, e: Any, a: Array) -> None:
+    drag = e.drag_linear + e.drag_quadratic * math.hypot(v[0], v[1])
+    a[0] = p[0] * math.sin(e.gravity_tilt) + e.wind - drag * v[0] - e.magnus * v[1]
+    a[1] = -p[0] * math.cos(e.gravity_tilt) - drag * v[1] + e.magnus * v[0]
 
 
 def _points(q: Array) -> Array:
     return q[..., None, :] / _CANVAS
 
 
-def _start(points: Array, interval: float) -> Array:
-    places = points[:3, 0] * _CANVAS
-    return np.concatenate([places[0], (-1.5 * places[0] + 2.0 * places[1] - 0.5 * places[2]) / interval])
+def _pose(points: Array) -> Array:
+    return points[:, 0] * _CANVAS
 
 
 BOUNCING_BALL = Body(
@@ -37,7 +37,7 @@ BOUNCING_BALL = Body(
     parameters=(("G", "m/s^2", 3.0, 2.0),),
     law=_law,
     points=_points,
-    start=_start,
+    pose=_pose,
     hypotheses=(
         hypothesis("gravity_tilt", "dynamics", "rad", -0.6, 0.6, _BOUNCES),
         hypothesis("wind", "dynamics", "m/s^2", -2.0, 2.0, "flights at several speeds"),
@@ -51,5 +51,4 @@ BOUNCING_BALL = Body(
     interval=0.05,
     frames=50,
     wall=_WALL,
-    steps=10,
 )

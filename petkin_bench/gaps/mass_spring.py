@@ -2,35 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin_bench.gaps.moving import CAMERA, Body, Effects, hypothesis, size
+from petkin_bench.gaps.moving import CAMERA, Body, compiled, forcing, friction, hypothesis, pushed
 
 Array = NDArray[np.float64]
 
-_REST, _CANVAS, _STUCK = 6.0, 6.0, 0.02
+_REST, _CANVAS = 6.0, 6.0
 _AMPLITUDES = "swings of several sizes: amplitudes die as exponentials, hyperbolas or straight lines"
 
 
-def _law(t: float, q: Array, v: Array, p: Array, e: Effects) -> Array:
-    apart, fast = q[..., 0] - q[..., 1], v[..., 0] - v[..., 1]
-    stretch = np.abs(apart) - _REST * (1.0 + size(e, "rest_length"))
-    pull = -np.sign(apart) * (p[0] * stretch + size(e, "spring_cubic") * stretch**3)
-    pull = pull - size(e, "damping_linear") * fast - size(e, "damping_quadratic") * np.abs(fast) * fast
-    pull = pull - size(e, "damping_coulomb") * np.tanh(fast / _STUCK)
-    pitch = e["forcing"].setting["pitch"] if "forcing" in e else 0.0
-    first = pull + size(e, "forcing") * np.sin(pitch * t)
-    return np.stack([first, -pull / (1.0 + size(e, "mass_ratio"))], axis=-1) + size(e, "gravity_tilt")
+@compiled
+def _law(t: float, q: Array, v: Array, p: Array, e: Any, a: Array) -> None:
+    apart = q[0] - q[1]
+    stretch = abs(apart) - _REST * (1.0 + e.rest_length)
+    pull = -np.sign(apart) * (p[0] * stretch + e.spring_cubic * stretch**3) - friction(v[0] - v[1], e)
+    a[0] = pull + pushed(t, e) + e.gravity_tilt
+    a[1] = -pull / (1.0 + e.mass_ratio) + e.gravity_tilt
 
 
 def _points(q: Array) -> Array:
     return np.stack([q, np.zeros_like(q)], axis=-1) / _CANVAS
 
 
-def _start(points: Array, interval: float) -> Array:
-    places = points[:3, :, 0] * _CANVAS
-    return np.concatenate([places[0], (-1.5 * places[0] + 2.0 * places[1] - 0.5 * places[2]) / interval])
+def _pose(points: Array) -> Array:
+    return points[..., 0] * _CANVAS
 
 
 _SHEET = "the masses on a balance"
@@ -40,7 +39,7 @@ MASS_SPRING = Body(
     parameters=(("k", "1/s^2", 10.0, 3.0),),
     law=_law,
     points=_points,
-    start=_start,
+    pose=_pose,
     hypotheses=(
         hypothesis("damping_linear", "dynamics", "1/s", 0.0, 1.0, _AMPLITUDES),
         hypothesis("damping_quadratic", "dynamics", "1/m", 0.0, 1.0, _AMPLITUDES),
@@ -48,12 +47,11 @@ MASS_SPRING = Body(
         hypothesis("spring_cubic", "dynamics", "1/(m s)^2", -2.0, 2.0, "swings of several sizes"),
         hypothesis("rest_length", "dynamics", "1", -0.1, 0.1, "the spring at rest"),
         hypothesis("mass_ratio", "dynamics", "1", -0.5, 1.0, _SHEET),
-        hypothesis(
-            "forcing", "dynamics", "m/s^2", -2.0, 2.0, "a longer run", settings=({"pitch": 1.0}, {"pitch": 4.0})
-        ),
+        forcing("m/s^2", 2.0),
         hypothesis("gravity_tilt", "dynamics", "m/s^2", -0.5, 0.5, "a level on the track"),
         *CAMERA,
     ),
     interval=0.1,
     frames=50,
+    steps=6,
 )

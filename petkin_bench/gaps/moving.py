@@ -6,25 +6,42 @@ clock or the camera, each by its amplitude, which is 0 where it is absent.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import helmert
+from scipy.special import comb
 
-from petkin.diagnosis import Coordinates, Hypothesis, Term
+from petkin.diagnosis import Coordinates, Hypothesis, Profiles, Shape, Term
 
 Array = NDArray[np.float64]
 Effects = Mapping[str, Term]
-#: (time, places, speeds, parameters, effects) -> acceleration, all of them (..., n).
-Law = Callable[[float, Array, Array, Array, Effects], Array]
-#: (places, speeds) -> rates of the places.
-Rate = Callable[[Array, Array], Array]
+#: (time, places, speeds, parameters, sizes, accelerations), compiled; the last (n,) is what it fills.
+Law = Callable[[float, Array, Array, Array, Any, Array], None]
+#: (places, speeds, rates of the places), compiled; the last (n,) is what it fills.
+Rate = Callable[[Array, Array, Array], None]
 
+#: What a law is compiled by. Its code is made anew in every process: none that is handed to another can be kept.
+compiled = numba.njit(error_model="numpy")
+
+#: Speed below which dry friction fades: without it Coulomb's law has no derivative.
+_STUCK = 0.02
+#: Median of |x| of a standard normal x.
+_NORMAL = 0.6745
 #: Standard deviation of a start's prior: none to speak of.
 _WIDE = 20.0
 _STEP = 1e-5
+#: Frames that a start is read off, at least the last; standard deviations that chi-square is seldom above its mean.
+_FRAMES, _SELDOM = (15, 10, 7, 5), 4.0
+#: Walls that may be met in a step; Newton's steps to the moment of a hit.
+_BOUNCES, _NEWTON = 4, 8
+#: What a law between walls is asked for, whether or not a catalogue has it.
+_WALLS = ("restitution", "wall_friction")
 #: Cosines of the flexible fit, of either sign, a coordinate.
 _COSINES = 14
 
@@ -34,8 +51,25 @@ def size(effects: Effects, name: str) -> Any:
     return effects[name].amplitude if name in effects else 0.0
 
 
-def _speeds(_: Array, v: Array) -> Array:
-    return v
+@compiled
+def friction(fast: float, e: Any) -> float:
+    """Deceleration by friction at a speed: linear, quadratic, and dry (Coulomb's)."""
+    drag = e.damping_linear * fast + e.damping_quadratic * abs(fast) * fast
+    if e.damping_coulomb != 0.0:
+        drag += e.damping_coulomb * math.tanh(fast / _STUCK)
+    return float(drag)
+
+
+@compiled
+def pushed(t: float, e: Any) -> float:
+    """A periodic push."""
+    return float(e.forcing * math.sin(e.pitch * t + e.phase))
+
+
+@compiled
+def speeds_alone(q: Array, v: Array, rate: Array) -> None:
+    """Rates of places that are what they seem."""
+    rate[:] = v
 
 
 @dataclass(frozen=True)
@@ -48,13 +82,14 @@ class Body:
         parameters: symbols of the law's parameters, with mean and sd of their prior.
         law: acceleration.
         points: places (..., n) -> points in the picture (..., P, 2).
-        start: points of the first frames (T, P, 2) and the time between them -> places and speeds.
+        pose: points (T, P, 2) -> places (T, n).
         hypotheses: its catalogue.
         interval: time between frames, s.
         frames: how many.
         wall: places are reflected at +-wall; 0 for none.
         steps: of the integration, a frame.
         rate: of the places, where it is not the speeds.
+        speeds: places and their rates -> speeds, the other way round.
     """
 
     name: str
@@ -62,17 +97,45 @@ class Body:
     parameters: tuple[tuple[str, str, float, float], ...]
     law: Law
     points: Callable[[Array], Array]
-    start: Callable[[Array, float], Array]
+    pose: Callable[[Array], Array]
     hypotheses: tuple[Hypothesis, ...]
     interval: float
     frames: int
     wall: float = 0.0
-    steps: int = 6
-    rate: Rate = _speeds
+    steps: int = 1
+    rate: Rate = speeds_alone
+    speeds: Callable[[Array, Array], Array] = lambda place, rate: rate
 
     @property
     def dimensions(self) -> int:
         return len(self.states) // 2
+
+    def sizes(self, effects: Effects) -> Any:
+        """Sizes and settings by name, as a law asks for them; nought of what is absent."""
+        settings = [symbol for h in self.hypotheses for symbol in h.settings[0]]
+        names = dict.fromkeys([*(h.name for h in self.hypotheses), *_WALLS, *settings])
+        found = np.zeros((), [(name, np.float64) for name in names])
+        for name, term in effects.items():
+            found[name] = term.amplitude
+            for symbol, value in term.setting.items():
+                found[symbol] = value
+        return found[()]
+
+    def begun(self, points: Array) -> tuple[Array, Array]:
+        """Places and speeds (2 n,) at the first of the points (T, P, 2), of two parabolas: one through as many frames
+        as show no more than noise beside it, and one through many, where noise has wild values."""
+        noise = _noise(points, 0)
+        places = self.pose(points[: _FRAMES[0]])
+        found = []
+        for count in _FRAMES:
+            frames = np.arange(count) * self.interval
+            found.append(np.polynomial.polynomial.polyfit(frames, places[:count], 2))
+            there = self.points(np.polynomial.polynomial.polyval(frames, found[-1]).T)
+            off, free = ((points[:count] - there) ** 2).sum(), count * there[0].size - 3 * self.dimensions
+            if off <= noise**2 * (free + _SELDOM * np.sqrt(2.0 * free)) + 1e-12:
+                break
+        short, long = (np.concatenate([c[0], self.speeds(c[0], c[1])]) for c in (found[-1], found[0]))
+        return short, long
 
 
 @dataclass(frozen=True)
@@ -81,11 +144,30 @@ class MovingBodies:
 
     Args:
         body: which.
-        data: places of its points in pictures (trials, P 2 T), for the starts of fits.
+        data: places of its points in pictures (trials, P 2 T), for the starts of fits and for the noise that all
+            points of a picture have in common.
+
+    The samples of a trial are not places of points but their mean over the points of a picture and what lies across it:
+    a camera that shakes moves all points of a picture alike, and noise in these is independent.
     """
 
     body: Body
     data: Array
+
+    @property
+    def samples(self) -> Array:
+        """The data as samples (trials, P 2 T)."""
+        return self._mixed(self.data)
+
+    def _mixed(self, places: Array, back: bool = False) -> Array:
+        """Places (..., P 2 T) as samples, or the other way round."""
+        axes = helmert(self._points, full=True)
+        seen = places.reshape(*places.shape[:-1], self._points, -1)
+        return np.asarray(((axes.T if back else axes) @ seen).reshape(places.shape), np.float64)
+
+    @property
+    def _points(self) -> int:
+        return self.data.shape[1] // (2 * self.body.frames)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -122,22 +204,39 @@ class MovingBodies:
     def starts(self) -> tuple[Array, ...]:
         seen = self.data.reshape(len(self.data), -1, 2, self.body.frames)
         points = np.moveaxis(seen, -1, 1)
-        return (np.stack([self.body.start(trial, self.body.interval) for trial in points]),)
+        short, long = (np.stack(each) for each in zip(*map(self.body.begun, points), strict=True))
+        return short, long
 
     def predict(self, own: Array, shared: Array, terms: tuple[Term, ...] = ()) -> Array:
         effects = {term.hypothesis.name: term for term in terms}
         places = travelled(self.body, own, shared, effects)
         points = seen(self.body.points(places), self.body.interval, effects)
-        return np.moveaxis(points, -3, -1).reshape(*own.shape[:-1], -1)
+        return self._mixed(np.moveaxis(points, -3, -1).reshape(*own.shape[:-1], -1))
 
     def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
         return np.zeros((0, len(self.channels), len(self.times)))
+
+    def departing(self, values: Array) -> tuple[Profiles, ...]:
+        """Pictures that are shifted, turned or larger, come early or late, or points that go ways of their own."""
+        seen = self._mixed(values, back=True).reshape(len(values), -1, 2, self.body.frames)
+        x, y = seen[:, :, 0], seen[:, :, 1]
+        one, none = np.ones_like(x), np.zeros_like(x)
+        ways = ((one, none), (none, one), (-y, x), (x, y), tuple(np.gradient(each, axis=-1) for each in (x, y)))
+        alone = [self._mixed(np.stack(way, axis=2).reshape(1, *values.shape)) for way in ways]
+        blocks = np.repeat(np.eye(2 * seen.shape[1]), self.body.frames, axis=1)
+        every = np.repeat(blocks[:, None], len(values), axis=1)
+        return tuple(Profiles(each, each) for each in (*alone, every))
 
     def unsure(self, own: Array, shared: Array) -> Array:
         return np.zeros((0, len(self.channels), len(self.times)))
 
     def spread(self, values: Array) -> Array:
-        return np.ones_like(values)
+        """Larger along the mean over points, as far as the data are rougher there."""
+        found = np.ones_like(values)
+        if self._points > 1:
+            rough = self.samples.reshape(len(self.data), self._points, 2, -1)
+            found[:, : 2 * self.body.frames] = _noise(rough[:, :1], -1) / max(_noise(rough[:, 1:], -1), 1e-12)
+        return found
 
     def uneven(self, values: Array) -> Array:
         return np.zeros((0, *values.shape))
@@ -149,47 +248,111 @@ class MovingBodies:
         return np.asarray(np.concatenate([alone, -alone]), np.float64)
 
 
+def _noise(values: Array, axis: int) -> float:
+    """Standard deviation of noise by sixth differences along an axis, which hardly see motion; bounces are few."""
+    return float(np.median(np.abs(np.diff(values, n=6, axis=axis))) / (_NORMAL * np.sqrt(comb(12, 6))))
+
+
 def travelled(body: Body, own: Array, shared: Array, effects: Effects) -> Array:
-    """Places at every frame (..., T, n), by Runge-Kutta steps of fourth order and reflection at walls."""
-    half = body.dimensions
-    q, v = own[..., :half].copy(), own[..., half:].copy()
-    step = body.interval * (1.0 + size(effects, "frame_rate")) / body.steps
-    found = [q]
-    for k in range((body.frames - 1) * body.steps):
-        q, v = _stepped(body, k * step, step, q, v, shared, effects)
-        if (k + 1) % body.steps == 0:
-            found.append(q)
-    return np.stack(found, axis=-2)
+    """Places at every frame (..., T, n), by Runge-Kutta steps of fourth order that end at walls and go on there."""
+    starts = np.ascontiguousarray(own.reshape(-1, own.shape[-1]), np.float64)
+    sizes = body.sizes(effects)
+    step = body.interval * (1.0 + sizes["frame_rate"]) / body.steps
+    found = _travelled(body.law, body.rate, starts, shared, sizes, step, body.steps, body.frames, body.wall)
+    return np.asarray(found.reshape(*own.shape[:-1], body.frames, body.dimensions), np.float64)
 
 
-def _stepped(
-    body: Body, t: float, h: float, q: Array, v: Array, shared: Array, effects: Effects
-) -> tuple[Array, Array]:
-    a1 = body.law(t, q, v, shared, effects)
-    r1, v2 = body.rate(q, v), v + h / 2 * a1
-    q2 = q + h / 2 * r1
-    a2, r2 = body.law(t + h / 2, q2, v2, shared, effects), body.rate(q2, v2)
-    q3, v3 = q + h / 2 * r2, v + h / 2 * a2
-    a3, r3 = body.law(t + h / 2, q3, v3, shared, effects), body.rate(q3, v3)
-    q4, v4 = q + h * r3, v + h * a3
-    a4, r4 = body.law(t + h, q4, v4, shared, effects), body.rate(q4, v4)
-    moved, faster = q + h / 6 * (r1 + 2 * r2 + 2 * r3 + r4), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    return (moved, faster) if not body.wall else _reflected(body.wall, moved, faster, a1, effects)
+@compiled
+def _travelled(
+    law: Any, rate: Any, starts: Array, shared: Array, e: Any, step: float, steps: int, frames: int, wall: float
+) -> Array:
+    half = starts.shape[1] // 2
+    found, room = np.empty((len(starts), frames, half)), np.empty((10, half))
+    moved, faster = np.empty(half), np.empty(half)
+    for run in range(len(starts)):
+        q, v = starts[run, :half].copy(), starts[run, half:].copy()
+        found[run, 0] = q
+        for k in range((frames - 1) * steps):
+            if wall > 0.0:
+                _between_walls(law, rate, k * step, step, q, v, shared, e, wall, moved, faster, room)
+            else:
+                _stepped(law, rate, k * step, step, q, v, shared, e, room)
+            if (k + 1) % steps == 0:
+                found[run, (k + 1) // steps] = q
+    return found
 
 
-def _reflected(wall: float, q: Array, v: Array, a: Array, effects: Effects) -> tuple[Array, Array]:
-    """Past a wall: back by the time since the hit, away from it with what restitution and friction leave."""
-    kept = 1.0 - size(effects, "restitution")
-    past = np.abs(q) - wall
-    hit = (past > 0) & (q * v > 0)
-    since = np.where(hit, past / np.maximum(np.abs(v), 1e-9), 0.0)
-    at_wall = v - a * since
-    away = np.where(hit, -kept * at_wall, at_wall)
-    along = np.where(hit[..., ::-1], 1.0 - size(effects, "wall_friction"), 1.0)
-    away = away * along
-    there = np.where(hit, np.sign(q) * wall, q - v * since)
-    back = there + away * since + 0.5 * a * since**2
-    return np.where(hit, back, q), np.where(hit, away + a * since, v * along)
+@compiled
+def _stepped(law: Any, rate: Any, t: float, h: float, q: Array, v: Array, shared: Array, e: Any, room: Array) -> None:
+    """Places and speeds (n,) moved on by h."""
+    places, speeds = room[8], room[9]
+    places[:], speeds[:] = q, v
+    for stage in range(4):
+        rate(places, speeds, room[stage])
+        late = 0.0 if stage == 0 else h if stage == 3 else 0.5 * h
+        law(t + late, places, speeds, shared, e, room[4 + stage])
+        if stage < 3:
+            ahead = h if stage == 2 else 0.5 * h
+            for i in range(len(q)):
+                places[i], speeds[i] = q[i] + ahead * room[stage, i], v[i] + ahead * room[4 + stage, i]
+    for i in range(len(q)):
+        q[i] += h / 6.0 * (room[0, i] + 2.0 * room[1, i] + 2.0 * room[2, i] + room[3, i])
+        v[i] += h / 6.0 * (room[4, i] + 2.0 * room[5, i] + 2.0 * room[6, i] + room[7, i])
+
+
+@compiled
+def _between_walls(
+    law: Any,
+    rate: Any,
+    t: float,
+    h: float,
+    q: Array,
+    v: Array,
+    shared: Array,
+    e: Any,
+    wall: float,
+    moved: Array,
+    faster: Array,
+    room: Array,
+) -> None:
+    """A step that ends at the first wall, turns round, and goes on for what is left of it."""
+    left = h
+    for _ in range(_BOUNCES):
+        moved[:], faster[:] = q, v
+        _stepped(law, rate, t, left, moved, faster, shared, e, room)
+        first, axis = 2.0, -1
+        for i in range(len(q)):
+            outwards = moved[i] * v[i] > 0.0 or moved[i] * faster[i] > 0.0  # a slow one may fall back within the step
+            if abs(moved[i]) > wall and outwards:
+                there = math.copysign(wall, moved[i])
+                share = _share_to(there, q[i], left * v[i], moved[i], left * faster[i])
+                if share < first:
+                    first, axis = share, i
+        if axis < 0:
+            q[:], v[:] = moved, faster
+            return
+        there = math.copysign(wall, moved[axis])
+        _stepped(law, rate, t, first * left, q, v, shared, e, room)
+        q[axis] = there
+        for i in range(len(q)):
+            v[i] *= -(1.0 - e.restitution) if i == axis else 1.0 - e.wall_friction
+        left *= 1.0 - first
+
+
+@compiled
+def _share_to(wall: float, q: float, v: float, end: float, faster: float) -> float:
+    """Share of a step at which a place meets a wall between two ends; speeds are a step's.
+
+    Newton's steps on the cubic through both places and both speeds, from the straight line between them.
+    """
+    share = min(max((wall - q) / (end - q), 0.0), 1.0) if end != q else 0.0
+    second, third = 3.0 * (end - q) - 2.0 * v - faster, 2.0 * (q - end) + v + faster
+    for _ in range(_NEWTON):
+        place = q + share * (v + share * (second + share * third)) - wall
+        speed = v + share * (2.0 * second + 3.0 * share * third)
+        if abs(speed) > 1e-12:
+            share = min(max(share - place / speed, 0.0), 1.0)
+    return share
 
 
 def seen(points: Array, interval: float, effects: Effects) -> Array:
@@ -209,6 +372,20 @@ def seen(points: Array, interval: float, effects: Effects) -> Array:
 def hypothesis(name: str, stage: str, unit: str, lower: float, upper: float, split_by: str, **more: Any) -> Hypothesis:
     """An effect of a moving body."""
     return Hypothesis(name, stage, "amplitude", unit, lower, upper, split_by=split_by, **more)
+
+
+def forcing(unit: str, most: float, *, fast: float = 1.0) -> Hypothesis:
+    """A push of unknown size, pitch and phase, which its sign turns round.
+
+    Args:
+        unit: of its amplitude.
+        most: its plausible size.
+        fast: how much faster than some radians a second.
+    """
+    pitches, phases = np.geomspace(0.8, 5.0, 5) * fast, np.pi * (np.arange(4) + 0.5) / 4.0
+    settings = tuple({"pitch": float(f), "phase": float(p)} for f in pitches for p in phases)
+    shapes = Shape("pitch", 0.5 * fast, 8.0 * fast, sd=np.inf), Shape("phase", 0.05, np.pi, sd=np.inf)
+    return hypothesis("forcing", "dynamics", unit, -most, most, "a longer run", settings=settings, shapes=shapes)
 
 
 #: What any camera and clock may do; lengths in units of the picture's half.

@@ -15,12 +15,13 @@ Reference: Bortz JE. IEEE Trans Aerosp Electron Syst 1971;7:61-66 (rate of the r
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from petkin_bench.gaps.moving import CAMERA, Body, Effects, hypothesis, size
+from petkin_bench.gaps.moving import CAMERA, Body, compiled, forcing, hypothesis, pushed
 
 Array = NDArray[np.float64]
 
@@ -46,27 +47,50 @@ def rotated(theta: Array, vectors: Array) -> Array:
     return vectors + np.sinc(angle / np.pi) * once + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * _cross(theta, once)
 
 
-def _rate(q: Array, v: Array) -> Array:
-    theta, omega = q[..., 3:], v[..., 3:]
-    once = _cross(theta, omega)
-    half = 0.5 * np.linalg.norm(theta, axis=-1, keepdims=True)
-    small = half < 1e-3
-    safe = np.where(small, 1.0, half)
-    bent = np.where(small, 1.0 / 12.0, (1.0 - safe * np.cos(safe) / np.sin(safe)) / (4.0 * safe**2))
-    return np.concatenate([v[..., :3], omega - 0.5 * once + bent * _cross(theta, once)], axis=-1)
+@compiled
+def _rate(q: Array, v: Array, rate: Array) -> None:
+    theta, omega = q[3:], v[3:]
+    half = 0.5 * math.sqrt(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2)
+    bent = 1.0 / 12.0 if half < 1e-3 else (1.0 - half * math.cos(half) / math.sin(half)) / (4.0 * half**2)
+    once, twice = np.empty(3), np.empty(3)
+    _crossed(theta, omega, once)
+    _crossed(theta, once, twice)
+    for i in range(3):
+        rate[i] = v[i]
+        rate[3 + i] = omega[i] - 0.5 * once[i] + bent * twice[i]
 
 
-def _law(t: float, q: Array, v: Array, p: Array, e: Effects) -> Array:
-    pitch = e["forcing"].setting["pitch"] if "forcing" in e else 0.0
-    beats = 1.0 + size(e, "forcing") * np.sin(pitch * t)
-    force = beats * np.array([p[0], p[1], size(e, "force_elevation")]) + 0.0 * q[..., :3]
-    lever = (1.0 + size(e, "lever")) * rotated(q[..., 3:], _LEVER)
-    slow, turning = v[..., :3], v[..., 3:]
-    speed = np.linalg.norm(slow, axis=-1, keepdims=True)
-    drag = size(e, "drag_linear") * slow + size(e, "drag_quadratic") * speed * slow
-    faster = force / (_MASS * (1.0 + size(e, "mass_ratio"))) - drag - size(e, "gravity") * np.array([0.0, 0.0, 1.0])
-    torque = _cross(lever, force) / (_INERTIA * (1.0 + size(e, "inertia")))
-    return np.concatenate([faster, torque - size(e, "spin_damping") * turning], axis=-1)
+@compiled
+def _crossed(a: Array, b: Array, found: Array) -> None:
+    found[0], found[1], found[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def _law(t: float, q: Array, v: Array, p: Array, e: Any, a: Array) -> None:
+    beats = 1.0 + pushed(t, e)
+    force, arm, torque = np.empty(3), np.empty(3), np.empty(3)
+    force[0], force[1], force[2] = beats * p[0], beats * p[1], beats * e.force_elevation
+    _turned(q[3:], _LEVER, arm)
+    _crossed(arm, force, torque)
+    drag = e.drag_linear + e.drag_quadratic * math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    for i in range(3):
+        a[i] = force[i] / (_MASS * (1.0 + e.mass_ratio)) - drag * v[i]
+        a[3 + i] = (1.0 + e.lever) * torque[i] / (_INERTIA * (1.0 + e.inertia)) - e.spin_damping * v[3 + i]
+    a[2] -= e.gravity
+
+
+@compiled
+def _turned(theta: Array, vector: Array, found: Array) -> None:
+    """exp(theta x) of a vector, by Rodrigues' formula."""
+    angle = math.sqrt(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2)
+    small = angle < 1e-4
+    first = 1.0 - angle**2 / 6.0 if small else math.sin(angle) / angle
+    second = 0.5 - angle**2 / 24.0 if small else (1.0 - math.cos(angle)) / angle**2
+    once, twice = np.empty(3), np.empty(3)
+    _crossed(theta, vector, once)
+    _crossed(theta, once, twice)
+    for i in range(3):
+        found[i] = vector[i] + first * once[i] + second * twice[i]
 
 
 def _points(q: Array) -> Array:
@@ -77,17 +101,18 @@ def _points(q: Array) -> Array:
     return np.stack([scale * corners[..., 0], scale * up], axis=-1)
 
 
-def _start(points: Array, interval: float) -> Array:
-    """Poses of the first frames by least squares, and the mean speed between them."""
-    few = min(6, len(points))
-    begin, poses = np.zeros(6), []
-    for seen in points[:few]:
+def _pose(points: Array) -> Array:
+    """By least squares, frame after frame."""
+    begin, found = np.zeros(6), []
+    for seen in points:
         begin = least_squares(lambda q, seen=seen: (_points(q) - seen).ravel(), begin).x
-        poses.append(begin)
-    times = np.arange(few) * interval
-    pose, rate, _ = np.polynomial.polynomial.polyfit(times, np.stack(poses), 2)
-    spin = rate[3:] + 0.5 * _cross(pose[3:], rate[3:])
-    return np.concatenate([pose, rate[:3], spin])
+        found.append(begin)
+    return np.stack(found)
+
+
+def _speeds(place: Array, rate: Array) -> Array:
+    """Of the middle and of the turn, at a small angle."""
+    return np.concatenate([rate[:3], rate[3:] + 0.5 * _cross(place[3:], rate[3:])])
 
 
 RIGID_BODY = Body(
@@ -97,7 +122,8 @@ RIGID_BODY = Body(
     law=_law,
     rate=_rate,
     points=_points,
-    start=_start,
+    pose=_pose,
+    speeds=_speeds,
     hypotheses=(
         hypothesis("force_elevation", "dynamics", "N", -10.0, 10.0, "a second camera, from the side"),
         hypothesis("mass_ratio", "dynamics", "1", -0.3, 0.5, "the cube on a balance"),
@@ -107,10 +133,9 @@ RIGID_BODY = Body(
         hypothesis("drag_linear", "dynamics", "1/s", 0.0, 1.0, _SEVERAL),
         hypothesis("drag_quadratic", "dynamics", "1/m", 0.0, 1.0, _SEVERAL),
         hypothesis("spin_damping", "dynamics", "1/s", 0.0, 2.0, _SEVERAL),
-        hypothesis("forcing", "dynamics", "1", -1.0, 1.0, "a longer run", settings=({"pitch": 4.0}, {"pitch": 12.0})),
+        forcing("1", 1.0, fast=4.0),
         *CAMERA,
     ),
     interval=1.0 / 30.0,
     frames=45,
-    steps=1,
 )

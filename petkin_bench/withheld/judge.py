@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from petkin.diagnosis import PART, Cohort, Diagnosis
+from petkin.diagnosis import PART, Cohort, Diagnosis, Simulator
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.detect import statistic
 from petkin.diagnosis.diagnose import scan_of
@@ -74,18 +74,18 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
         "stage": next(iter(found.stages), ""),
         "onset_frame": -1 if frame is None else frame,
         "regions": ";".join(str(r) for r in np.flatnonzero(found.claims(found.regions) <= PART)),
-        **_sizes(found),
+        **sizes_of(found),
         "evidence": ";".join(f"{c.label}:{c.log_evidence:.3f}" for c in found.causes),
         "unknown_evidence": round(found.unknown_evidence, 3),
         "closure": "" if closed is None else closed.value,
         "closure_low": "" if closed is None else closed.low,
         "closure_high": "" if closed is None else closed.high,
-        "closed": "" if leader is None else _closed(found, simulator, clean),
+        "closed": "" if leader is None else closed_by(found, simulator, clean),
         "seconds": round(seconds, 3),
     }
 
 
-def _sizes(found: Diagnosis) -> dict[str, object]:
+def sizes_of(found: Diagnosis) -> dict[str, object]:
     """Amplitude and onset of a likeliest cause that is one effect, each with its interval; "" where there is none."""
     leader = found.causes[0] if found.causes else None
     known = {e.symbol: e for e in leader.estimates} if leader is not None and len(leader.effects) == 1 else {}
@@ -111,7 +111,7 @@ def said_of(found: Diagnosis | Cohort) -> dict[str, object]:
     }
 
 
-def _closed(found: Diagnosis, simulator: RegionalSimulator, clean: Array) -> float:
+def closed_by(found: Diagnosis, simulator: Simulator, clean: Array) -> float:
     """1 - what the leader leaves of the gap in noise-free values, both after a refit."""
     fit = found.causes[0].fit
     if fit is None:

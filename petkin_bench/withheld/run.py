@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 from petkin.errors import InputError
 from petkin_bench.withheld.ablations import ENGINE, PARTS, without
+from petkin_bench.withheld.bodies.cases import ALL, FilmAnswer, film_case
+from petkin_bench.withheld.bodies.rigs import RIGS
 from petkin_bench.withheld.cases import SPLITS, Answer, case
 from petkin_bench.withheld.cohorts.cases import SCANS, cohort_case
 from petkin_bench.withheld.subject import SCHEDULES_S
@@ -39,6 +41,7 @@ class Plan:
     network: Path = Path()
     frames: str = "clinical"
     scans: int = 1
+    system: str = ""
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -55,11 +58,17 @@ class Plan:
             raise InputError(f"--scans {self.scans}: give 1, or {SCANS[0]} to {SCANS[1]} for cohorts.")
         if self.scans > 1 and (self.images or self.without or self.frames != "clinical"):
             raise InputError(f"--scans {self.scans}: leave --images, --without and --frames away.")
+        if self.system not in ("", ALL, *RIGS):
+            raise InputError(f"--system {self.system!r}: give {ALL} or one of {', '.join(RIGS)}.")
+        if self.system and (self.images or self.without or self.scans > 1 or self.frames != "clinical"):
+            raise InputError(f"--system {self.system}: leave --images, --without, --scans and --frames away.")
 
     @property
     def stem(self) -> str:
         if self.images:
             return f"withheld_{self.split}_seed{self.seed}_images"
+        if self.system:
+            return f"withheld_{self.split}_seed{self.seed}_{self.system}"
         if self.scans > 1:
             return f"withheld_{self.split}_seed{self.seed}_regions{self.regions}_scans{self.scans}"
         lacking = f"_without_{self.without}" if self.without else ""
@@ -99,6 +108,8 @@ def judged(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]
         return _judged_image(plan, index)
     if plan.scans > 1:
         return _judged_cohort(plan, index)
+    if plan.system:
+        return _judged_film(plan, index)
     from petkin_bench.withheld.judge import ideal, verdict
 
     scan, truth = case(plan.split, plan.seed, index, plan.regions, plan.frames)
@@ -122,6 +133,15 @@ def _judged_image(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, 
     answer = {"index": index} | row_of(truth) | {"size": round(truth.size, 4), "width": truth.width}
     read = ideal(truth, made, split=plan.split, seed=index)
     return answer, _sealed(answer) | verdict(scan, seed=index) | read
+
+
+def _judged_film(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
+    from petkin_bench.withheld.bodies.judge import verdict
+
+    film, truth = film_case(plan.split, plan.seed, index, plan.system)
+    about = {"index": index, "system": truth.system, "runs": truth.runs}
+    answer = about | row_of(truth) | {"size": round(truth.size, 6)}
+    return answer, _sealed(answer) | verdict(film, truth.clean, seed=index)
 
 
 def _judged_cohort(plan: Plan, index: int) -> tuple[dict[str, object], dict[str, object]]:
@@ -151,7 +171,7 @@ def _sealed(answer: dict[str, object]) -> dict[str, object]:
     return {"index": answer["index"], "answer_sha256": digest}
 
 
-def row_of(answer: Answer | ImageAnswer) -> dict[str, object]:
+def row_of(answer: Answer | FilmAnswer | ImageAnswer) -> dict[str, object]:
     """An answer as a row, without its curves; of classes, "a|b;c" is a or b, and c."""
     return {
         "kind": answer.kind,

@@ -104,16 +104,27 @@ def joined(verdicts: Path, answers: Path) -> list[Judged]:
 
 
 def metrics(cases: Sequence[Judged]) -> list[Metric]:
-    """Every metric of a run."""
-    single = [c for c in cases if c.kind in ("known", "other form")]
-    strong = [c for c in single if c.strength >= _STRONG]
+    """Every metric of a run of scans."""
+    strong = strong_ones(cases)
+    named = [c for c in strong if c.claimed and c.cells["leader"] == c.cells["names"]]
+    return verdict_metrics(cases, [*_places(strong), *_sizes(named)])
+
+
+def strong_ones(cases: Iterable[Judged]) -> list[Judged]:
+    """Single causes of the strength from which most bars hold."""
+    return [c for c in cases if c.kind in ("known", "other form") and c.strength >= _STRONG]
+
+
+def verdict_metrics(cases: Sequence[Judged], more: Iterable[Metric]) -> list[Metric]:
+    """What any verdict is judged by, with more about where and how large."""
+    strong = strong_ones(cases)
     seconds = [c.number("seconds") for c in cases]
     return [
         *_alarms([c for c in cases if c.kind == "none"]),
-        *_by_strength(single),
+        *_by_strength([c for c in cases if c.kind in ("known", "other form")]),
         *_sets(strong),
-        *_places(strong),
-        *_sizes([c for c in strong if c.claimed and c.cells["leader"] == c.cells["names"]]),
+        share_of("stage first, d' >= 6", (c.cells["stage"] == c.cells["stages"] for c in strong), 0.85),
+        *more,
         *_pairs([c for c in cases if c.kind == "pair"]),
         *_unknown([c for c in cases if c.kind == "unknown" and c.number("perpendicular") >= _BEYOND], strong),
         *_by_perpendicular([c for c in cases if c.kind == "unknown"]),
@@ -178,7 +189,6 @@ def _places(strong: Sequence[Judged]) -> list[Metric]:
     inside = [c.cells["region"] in c.words("regions") for c in local]
     told = sum(len(c.words("regions")) for c in local)
     return [
-        share_of("stage first, d' >= 6", (c.cells["stage"] == c.cells["stages"] for c in strong), 0.85),
         share_of("onset within a frame", (abs(c.number("onset_frame") - c.number("frame")) <= 1 for c in timed), 0.9),
         Metric("regions: precision", sum(inside) / max(told, 1), told, 0.9),
         share_of("regions: recall", inside, 0.9),

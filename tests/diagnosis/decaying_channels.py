@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Coordinates, Hypothesis, Shape, Term
+from petkin.diagnosis import Coordinates, Hypothesis, Profiles, Shape, Term
 
 Array = NDArray[np.float64]
 
@@ -47,6 +47,9 @@ class DecayingChannels:
 
     def driven(self, own: Array, shared: Array, courses: Callable[[Array], Array]) -> Array:
         return np.zeros((0, len(self.channels), len(self.times)))
+
+    def departing(self, values: Array) -> tuple[Profiles, ...]:
+        return (Profiles.of_values(values),)
 
     def unsure(self, own: Array, shared: Array) -> Array:
         return np.zeros((0, len(self.channels), len(self.times)))

@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise, inverse_root, loads
 from petkin.diagnosis.detect import noise_draws, p_value, statistic, tails
-from petkin.diagnosis.effect import Hypothesis, Term, foreknown
+from petkin.diagnosis.effect import Hypothesis, Profiles, Term, foreknown
 from petkin.diagnosis.estimates import _amplitude
 from petkin.diagnosis.noise import (
     common_share,
@@ -428,7 +428,9 @@ def test_what_swings_is_told_from_what_has_many_rhythms(
     times = np.linspace(2.5, 87.5, 18)
     values = np.full((4, 18), 10.0)
     noise = Noise(np.ones_like(values), np.full(4, 0.1), 0.0)
-    smooth = Smooth.around(values, times, noise, Projection.of(np.zeros((values.size, 1)), np.ones(1)))
+    smooth = Smooth.around(
+        [Profiles.of_values(values)], times, noise, Projection.of(np.zeros((values.size, 1)), np.ones(1))
+    )
     turns = np.pi * times / 90.0 + np.array(phases)[:, None]
     wave = np.sum([np.sin(rhythm * turns) for rhythm in rhythms], axis=0)
     wave *= 12.0 * 0.1 / np.linalg.norm(wave)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from petkin.diagnosis.covariance import Noise, loads
+from petkin.diagnosis.effect import Profiles
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.pattern import _over_directions, apart, log_evidence
 from petkin.diagnosis.unknown import PATTERN, Smooth
@@ -75,7 +76,9 @@ def test_what_samples_have_in_common_is_no_pattern(loaded: bool) -> None:
 def test_a_gap_of_no_name_may_be_such_a_pattern() -> None:
     rng = np.random.default_rng(5)
     values, times, noise = np.full((5, SAMPLES), 10.0), np.linspace(1.0, 90.0, SAMPLES), plain(5)
-    smooth = Smooth.around(values, times, noise, Projection.of(np.zeros((values.size, 1)), np.ones(1)))
+    smooth = Smooth.around(
+        [Profiles.of_values(values)], times, noise, Projection.of(np.zeros((values.size, 1)), np.ones(1))
+    )
     data = (up_and_down(5, 16.0, rng) + rng.standard_normal((5, SAMPLES))).ravel()
     assert smooth.likeliest(data) == PATTERN
     assert float(smooth.evidence(data)) > 3.0

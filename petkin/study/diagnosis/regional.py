@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Coordinates, Estimate, Hypothesis, Term
+from petkin.diagnosis import Coordinates, Estimate, Hypothesis, Profiles, Term
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import Camera, Effect, ForwardModel, Tabulated, Tissue, Vessels, effect_named
 from petkin.imaging import CountingNoise, Exchange, FrameObservation
@@ -221,6 +221,9 @@ class RegionalSimulator:
         plasma = np.asarray(self.input.plasma(self.nodes))
         mean = np.trapezoid(plasma, self.nodes) / self.nodes[-1]
         return self._departing(own, shared, courses(self.nodes) * np.sqrt(np.maximum(plasma * mean, 0.0)))
+
+    def departing(self, values: Array) -> tuple[Profiles, ...]:
+        return (Profiles.of_values(values),)
 
     def unsure(self, own: Array, shared: Array) -> Array:
         """C_P errs as its record does; what motion adds, in every region for itself."""

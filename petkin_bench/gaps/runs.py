@@ -9,35 +9,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from petkin import __version__
 from petkin.diagnosis import Diagnosis, Hypothesis, Term, diagnose, indistinct
 from petkin.errors import InputError
 from petkin.study.diagnosis.answer import cause_entry
-from petkin_bench.gaps.moving import Body, MovingBodies, seen, size
+from petkin_bench.gaps.moving import Body, MovingBodies
+from petkin_bench.withheld.bodies.rigs import RIGS
 
 Array = NDArray[np.float64]
-
-#: Starts and parameters that runs are drawn from, by body.
-_Ranges = tuple[tuple[float, float], ...]
-_DRAWN: Mapping[str, tuple[_Ranges, _Ranges]] = {
-    "pendulum": (((-1.4, 1.4), (-2.0, 2.0)), ((6.0, 14.0),)),
-    "mass_spring": (((-4.5, -2.0), (2.0, 4.5), (-0.5, 0.5), (-0.5, 0.5)), ((6.0, 14.0),)),
-    "bouncing_ball": (((-4.0, 4.0), (-2.0, 4.0), (-3.0, 3.0), (-3.0, 3.0)), ((1.5, 5.0),)),
-    "double_pendulum": (((-1.2, 1.2), (-1.2, 1.2), (-1.0, 1.0), (-1.0, 1.0)), ((6.0, 14.0),)),
-    "rigid_body": (
-        ((-0.8, 0.8), (-0.8, 0.8), (-0.3, 0.3), *[(-0.5, 0.5)] * 6, *[(-1.0, 1.0)] * 3),
-        ((-10.0, 10.0), (-10.0, 10.0)),
-    ),
-}
-_RTOL, _ATOL = 1e-9, 1e-10
 
 
 def simulate_runs(
     body: Body, effects: Mapping[str, Term], *, trials: int, noise: float, rng: np.random.Generator
 ) -> Array:
-    """Places of the points in pictures (trials, P 2 T), from starts and parameters drawn anew.
+    """Places of the points in pictures (trials, P 2 T), from starts and parameters drawn anew, by the blind check's
+    own mechanics.
 
     Args:
         body: which.
@@ -46,67 +33,14 @@ def simulate_runs(
         noise: standard deviation of a place, in units of the picture's half.
         rng: randomness.
     """
-    _, shared = drawn_start(body, rng)
-    runs = [run(body, drawn_start(body, rng)[0], shared, effects) for _ in range(trials)]
-    points = seen(body.points(np.stack(runs)), body.interval, effects)
+    rig = replace(RIGS[body.name], frames=body.frames, wall=body.wall)
+    starts, parameters = rig.drawn(rng, trials)
+    kit: dict[str, float] = {}
+    for name, term in effects.items():
+        kit |= {name: float(term.amplitude), **term.setting}
+    points = rig.seen(starts, np.tile(parameters, (trials, 1)), kit)
     values = np.moveaxis(points, 1, -1).reshape(trials, -1)
-    return values + noise * rng.standard_normal(values.shape)
-
-
-def drawn_start(body: Body, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A start and the law's parameters."""
-    ranges, levels = _DRAWN[body.name]
-    return np.array([rng.uniform(*r) for r in ranges]), np.array([rng.uniform(*level) for level in levels])
-
-
-def run(body: Body, start: Array, shared: Array, effects: Mapping[str, Term]) -> Array:
-    """Places at every frame (T, n): an adaptive solver, stopped and turned round at every wall."""
-    count, half = body.frames, body.dimensions
-    times = np.arange(count) * body.interval * (1.0 + float(size(effects, "frame_rate")))
-    found, state, now = np.empty((count, half)), start, 0.0
-    done = 0
-    while done < count:
-        solved = solve_ivp(
-            lambda t, y: np.concatenate(
-                [body.rate(y[:half], y[half:]), body.law(t, y[:half], y[half:], shared, effects)]
-            ),
-            (now, times[-1] + 1e-9),
-            state,
-            method="DOP853",
-            dense_output=True,
-            events=[_Wall(body, i) for i in range(half)] if body.wall else None,
-            rtol=_RTOL,
-            atol=_ATOL,
-        )
-        end = float(solved.t[-1])
-        here = (times >= now - 1e-12) & (times <= end + 1e-12)
-        found[here] = solved.sol(times[here])[:half].T
-        done = int(np.count_nonzero(times <= end + 1e-12))
-        if done < count:
-            state, now = _turned(solved, half, effects), end
-    return found
-
-
-class _Wall:
-    """Event of `solve_ivp`: a place reaches the wall."""
-
-    terminal, direction = True, -1
-
-    def __init__(self, body: Body, axis: int) -> None:
-        self._body, self._axis = body, axis
-
-    def __call__(self, t: float, y: Array) -> float:
-        outwards = y[self._axis] * y[self._body.dimensions + self._axis] > 0
-        return self._body.wall - abs(y[self._axis]) if outwards else 1.0
-
-
-def _turned(solved: Any, half: int, effects: Mapping[str, Term]) -> Array:
-    state = solved.y[:, -1].copy()
-    axis = next(i for i, times in enumerate(solved.t_events) if times.size)
-    state[half + axis] *= -(1.0 - float(size(effects, "restitution")))
-    others = [half + i for i in range(half) if i != axis]
-    state[others] *= 1.0 - float(size(effects, "wall_friction"))
-    return state
+    return np.asarray(values + noise * rng.standard_normal(values.shape), np.float64)
 
 
 def effect_at(body: Body, name: str, share: float) -> Term:
@@ -125,7 +59,8 @@ def effect_at(body: Body, name: str, share: float) -> Term:
 def diagnose_runs(body: Body, data: Array, *, without: frozenset[str] = frozenset(), seed: int = 0) -> Diagnosis:
     """What is missing in the body's law, camera and clock."""
     hypotheses: tuple[Hypothesis, ...] = tuple(h for h in body.hypotheses if h.name not in without)
-    return diagnose(MovingBodies(body, data), data, hypotheses, seed=seed)
+    simulator = MovingBodies(body, data)
+    return diagnose(simulator, simulator.samples, hypotheses, seed=seed)
 
 
 def measure_body(body: Body, *, share: float, trials: int, noise: float, seed: int) -> list[dict[str, object]]:

@@ -1,0 +1,1 @@
+"""Moving bodies of the blind check: runs of five systems whose effect is withheld."""

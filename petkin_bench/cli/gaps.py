@@ -11,34 +11,50 @@ import typer
 def diagnose(
     system: Annotated[str, typer.Option(help="pendulum, mass_spring, bouncing_ball, double_pendulum or rigid_body.")],
     effect: Annotated[str | None, typer.Option(help="NAME or NAME=SHARE of its range; default: the catalogue.")] = None,
+    runs: Annotated[
+        Path | None,
+        typer.Option(help="Runs of your own: a CSV with trial, frame, point, x, y (x, y in halves of the picture)."),
+    ] = None,
     trials: Annotated[int, typer.Option(help="Runs from starts of their own.", min=1)] = 3,
     noise: Annotated[float, typer.Option(help="Of a place, in units of the picture's half.", min=1e-6)] = 0.01,
     seed: Annotated[int, typer.Option(help="Of starts, parameters and noise.", min=0)] = 0,
     single_flight: Annotated[bool, typer.Option("--single-flight", help="Watch briefly, without walls.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the answer about one effect.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the answer about one effect, and for its runs.")] = None,
 ) -> None:
-    """Put one effect into runs of a physics system and ask the engine of `petkin diagnose` what is missing.
+    """Ask the engine of `petkin diagnose` what is missing in the law, the camera or the clock of a physics system.
 
-    With --effect, one case whose answer is printed (and written); without, every effect of the catalogue at half of its
-    range and as many runs without any, appended to petkin_bench/results/moving_bodies.csv.
+    With --runs, of places that you give; with --effect, of runs with one effect in them: the answer is printed (and
+    written, with the runs as --runs reads them). Without either, every effect of the catalogue at half of its range and
+    as many runs without any, appended to petkin_bench/results/moving_bodies.csv.
     """
-    from petkin_bench.gaps import find_body, runs
+    from petkin.cli.progress import progress_bar
+    from petkin.errors import InputError
+    from petkin.io import json_text, write_text
+    from petkin_bench.gaps import find_body
+    from petkin_bench.gaps import runs as moving
     from petkin_bench.provenance import append_rows
 
-    body = runs.single_flight(find_body(system)) if single_flight else find_body(system)
-    if effect is None:
-        rows = runs.measure_body(body, share=0.5, trials=trials, noise=noise, seed=seed)
+    body = moving.single_flight(find_body(system)) if single_flight else find_body(system)
+    if runs is not None and effect is not None:
+        raise InputError("--runs and --effect: give one of them.")
+    if runs is None and effect is None:
+        with progress_bar() as bar:
+            rows = moving.measure_body(body, share=0.5, trials=trials, noise=noise, seed=seed, progress=bar)
         for row in rows:
             typer.echo(f"{row['effect'] or 'nothing':20} d' {row['d_prime']:8}  {row['kind']:10} {row['set']}")
         typer.echo(f"Appended to {append_rows('moving_bodies', [row | {'seed': seed} for row in rows])}")
         return
-    answer = runs.one_case(body, effect, trials=trials, noise=noise, seed=seed)
+    if runs is not None:
+        body, data = moving.read_runs(runs, body)
+    else:
+        data = moving.one_effect(body, str(effect), trials=trials, noise=noise, seed=seed)
+    with progress_bar() as bar:
+        answer = moving.answer_about(body, data, seed=seed, progress=bar)
     typer.echo(answer["verdict"]["sentence"])
     if out is not None:
-        from petkin.io import json_text, write_text
-
-        out.mkdir(parents=True, exist_ok=True)
         write_text(out / f"{answer['subject']}_desc-gap_report.json", json_text(answer))
+        if runs is None:
+            write_text(out / f"{answer['subject']}_runs.csv", moving.written_runs(body, data))
 
 
 def real_scans(

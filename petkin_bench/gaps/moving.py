@@ -110,6 +110,11 @@ class Body:
     def dimensions(self) -> int:
         return len(self.states) // 2
 
+    @property
+    def shown(self) -> int:
+        """Points in a picture."""
+        return self.points(np.zeros((1, self.dimensions))).shape[-2]
+
     def sizes(self, effects: Effects) -> Any:
         """Sizes and settings by name, as a law asks for them; nought of what is absent."""
         settings = [symbol for h in self.hypotheses for symbol in h.settings[0]]
@@ -167,7 +172,7 @@ class MovingBodies:
 
     @property
     def _points(self) -> int:
-        return self.data.shape[1] // (2 * self.body.frames)
+        return self.body.shown
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -180,7 +185,7 @@ class MovingBodies:
 
     @property
     def times(self) -> Array:
-        return np.tile(self.clock, self.data.shape[1] // self.body.frames)
+        return np.tile(self.clock, 2 * self._points)
 
     @property
     def accuracy(self) -> float:
@@ -242,7 +247,7 @@ class MovingBodies:
         return np.zeros((0, *values.shape))
 
     def flexible(self, shared: Array) -> Array:
-        blocks = self.data.shape[1] // self.body.frames
+        blocks = 2 * self._points
         cosines = np.cos(np.pi * np.arange(_COSINES)[:, None] * np.linspace(0.0, 1.0, self.body.frames))
         alone = np.kron(np.eye(blocks), cosines)
         return np.asarray(np.concatenate([alone, -alone]), np.float64)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from importlib.resources import files
+from pathlib import Path
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -66,6 +68,11 @@ def test_a_shutter_averages_about_the_middle_of_its_time() -> None:
     assert wrong < 0.1 * change
 
 
+def one_case(body: Body, effect: str, *, trials: int, noise: float, seed: int) -> dict[str, Any]:
+    data = runs.one_effect(body, effect, trials=trials, noise=noise, seed=seed)
+    return runs.answer_about(body, data, seed=seed)
+
+
 def _states(body: Body, starts: np.ndarray) -> np.ndarray:
     """Of a spring, the generator has the middle of its masses and how far they are apart."""
     if body.name != "mass_spring":
@@ -93,7 +100,7 @@ def test_a_ball_that_falls_back_beyond_a_wall_was_thrown_back_there() -> None:
 
 
 def test_a_pendulums_damping_is_named() -> None:
-    answer = runs.one_case(find_body("pendulum"), "damping_linear=0.3", trials=2, noise=0.01, seed=1)
+    answer = one_case(find_body("pendulum"), "damping_linear=0.3", trials=2, noise=0.01, seed=1)
     jsonschema.validate(answer, SCHEMA)
     assert any("damping_linear" in label for label in answer["verdict"]["set"])
     assert answer["where"]["stages"][0]["stage"] == "dynamics"
@@ -112,7 +119,7 @@ def test_a_pendulums_damping_is_named() -> None:
 )
 def test_what_was_put_in_is_in_the_set(system: str, effect: str, alike: tuple[str, ...]) -> None:
     """Itself, or what looks the same in these runs, comes first; itself is in the set."""
-    answer = runs.one_case(find_body(system), f"{effect}=0.5", trials=3, noise=0.005, seed=7)
+    answer = one_case(find_body(system), f"{effect}=0.5", trials=3, noise=0.005, seed=7)
     chosen = answer["verdict"]["set"]
     assert {effect, *alike} & set(chosen[0].split("+"))
     assert any(effect in label.split("+") for label in chosen)
@@ -149,13 +156,46 @@ def test_energy_stays_in_the_double_pendulum() -> None:
 def test_one_flight_cannot_split_tilt_wind_and_roll() -> None:
     """Gravity turned, a steady wind and a camera turned: the same parabola."""
     body = runs.single_flight(find_body("bouncing_ball"))
-    answer = runs.one_case(body, "gravity_tilt=0.5", trials=1, noise=0.003, seed=4)
+    answer = one_case(body, "gravity_tilt=0.5", trials=1, noise=0.003, seed=4)
     assert {"gravity_tilt", "wind", "camera_roll"} <= set("+".join(answer["verdict"]["set"]).split("+"))
     assert answer["verdict"]["kind"] == "ambiguous"
+
+
+def test_runs_that_are_written_are_read_again(tmp_path: Path) -> None:
+    body = find_body("mass_spring")
+    data = runs.one_effect(body, "mass_ratio=0.5", trials=2, noise=0.01, seed=3)
+    path = tmp_path / "runs.csv"
+    path.write_text(runs.written_runs(body, data))
+    short = "".join(line for line in path.read_text().splitlines(True) if line.split(",")[1] not in ("48", "49"))
+    (tmp_path / "short.csv").write_text(short)
+    again, places = runs.read_runs(path, body)
+    assert again == body
+    np.testing.assert_array_equal(places, data)
+    fewer, places = runs.read_runs(tmp_path / "short.csv", body)
+    assert fewer.frames == 48
+    np.testing.assert_array_equal(places.reshape(2, 4, 48), data.reshape(2, 4, 50)[..., :48])
+    assert MovingBodies(fewer, places).predict(_states(body, data[:, :4]), np.array([10.0])).shape == (2, 4 * 48)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "cannot be read as a table"),
+        ("trial,frame,x,y\n1,0,0,0\n", "has no column point; it needs trial, frame, point, x, y"),
+        ("trial,frame,point,x,y\n1,0,1,0,0\n1,1,1,nowhere,0\n", "row 3 holds something that is no number"),
+        ("trial,frame,point,x,y\n1,0,1,0,0\n1,1,1,0,0\n2,0,1,0,0\n", "every point once in each of its 2 frames"),
+        ("trial,frame,point,x,y\n1,0,1,0,0\n1,0,1,0,0\n", "every point once in each of its 1 frames"),
+        ("trial,frame,point,x,y\n1,0,1,0,0\n1,1,1,0,0\n", "needs 1 points a frame, and 16 frames or more"),
+    ],
+)
+def test_runs_that_cannot_be_read(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "runs.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        runs.read_runs(tmp_path / "runs.csv", find_body("pendulum"))
 
 
 def test_names_that_are_not_there() -> None:
     with pytest.raises(InputError, match="one of pendulum, mass_spring, bouncing_ball, double_pendulum, rigid_body"):
         find_body("yo-yo")
     with pytest.raises(InputError, match="pendulum has no effect 'wind'"):
-        runs.one_case(find_body("pendulum"), "wind", trials=1, noise=0.01, seed=0)
+        one_case(find_body("pendulum"), "wind", trials=1, noise=0.01, seed=0)

@@ -12,15 +12,18 @@ import jsonschema
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
 
 from petkin.diagnosis import Term
 from petkin.errors import InputError
+from petkin_bench.cli import app
 from petkin_bench.gaps import BODIES, MovingBodies, find_body, runs
 from petkin_bench.gaps.moving import Body, travelled
 from petkin_bench.gaps.moving import seen as camera
 from petkin_bench.gaps.rigid_body import rotated
 from petkin_bench.withheld.bodies.rigs import RIGS
 
+REPORT = "sub-pendulum_desc-gap_report.json"
 SCHEMA = json.loads((files("petkin.reporting") / "schemas" / "gap-report-1.json").read_text())
 
 
@@ -199,3 +202,21 @@ def test_names_that_are_not_there() -> None:
         find_body("yo-yo")
     with pytest.raises(InputError, match="pendulum has no effect 'wind'"):
         one_case(find_body("pendulum"), "wind", trials=1, noise=0.01, seed=0)
+
+
+def test_the_command_writes_runs_that_it_reads_again(tmp_path: Path) -> None:
+    out, asked = tmp_path / "out", ["diagnose", "--system", "pendulum"]
+    made = CliRunner().invoke(app, [*asked, "--effect", "damping_quadratic=0.1", "--out", str(out)])
+    again = CliRunner().invoke(
+        app, [*asked, "--runs", str(out / "sub-pendulum_runs.csv"), "--out", str(tmp_path / "own")]
+    )
+    assert made.output == again.output
+    assert made.output.startswith("Damping quadratic of 0.")
+    first, second = (json.loads((folder / REPORT).read_text()) for folder in (out, tmp_path / "own"))
+    jsonschema.validate(first, SCHEMA)
+    assert {k: v for k, v in first.items() if k != "provenance"} == {
+        k: v for k, v in second.items() if k != "provenance"
+    }
+    both = CliRunner().invoke(app, [*asked, "--runs", "x.csv", "--effect", "torque"])
+    assert isinstance(both.exception, InputError)
+    assert str(both.exception) == "--runs and --effect: give one of them."

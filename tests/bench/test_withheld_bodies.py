@@ -187,6 +187,9 @@ def test_metrics_count_what_each_system_got_right() -> None:
     assert found["bodies: size within 0.20"].value == 1.0
     assert found["bodies: size's interval holds it"].value == 1.0
     assert "bodies: onset within a frame" not in found
+    assert found["bodies: closure interval covers but for 0.01"].value == 1.0
+    beyond = body_metrics([Judged(CELLS | {"closure_high": "0.93"}), Judged(CELLS | {"closure_high": "0.945"})])
+    assert {m.name: m.value for m in beyond}["bodies: closure interval covers but for 0.01"] == 0.5
 
 
 def test_plans_that_make_no_sense() -> None:

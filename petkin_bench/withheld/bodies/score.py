@@ -8,13 +8,14 @@ from dataclasses import replace
 from petkin_bench.withheld.bodies.rigs import RIGS
 from petkin_bench.withheld.score import Judged, Metric, holds, share_of, strong_ones, verdict_metrics
 
-#: How near a size must be; strength beyond the catalogue from which a gap must be called unknown.
-_NEAR, _BEYOND = 0.2, 5.0
+#: How near a size must be; strength beyond the catalogue from which a gap must be called unknown; closure that is next
+#: to nothing.
+_NEAR, _BEYOND, _SLIGHT = 0.2, 5.0, 0.01
 
 
 def body_metrics(cases: Sequence[Judged]) -> list[Metric]:
     """Every metric of a run that any case has a part in."""
-    found = verdict_metrics(cases, _sizes(cases))
+    found = [*verdict_metrics(cases, _sizes(cases)), _held_nearly(cases)]
     for system in RIGS:
         found += _of_system(system, [c for c in cases if c.cells["system"] == system])
     return [replace(m, name=f"bodies: {m.name}") for m in found if m.cases]
@@ -27,6 +28,14 @@ def _sizes(cases: Sequence[Judged]) -> list[Metric]:
     near = (abs(abs(c.number("amplitude")) / abs(c.number("size")) - 1.0) <= _NEAR for c in told)
     held = (holds(c.number("amplitude_low"), c.number("amplitude_high"), c.number("size")) for c in told)
     return [share_of("size within 0.20", near), share_of("size's interval holds it", held)]
+
+
+def _held_nearly(cases: Sequence[Judged]) -> Metric:
+    """Names here have the very form of what is missing and leave nothing at all, of which an interval cannot be sure."""
+    told = [c for c in strong_ones(cases) if c.claimed and c.cells["closure"]]
+    low = (c.number("closure_low") - _SLIGHT <= c.number("closed") for c in told)
+    high = (c.number("closed") <= c.number("closure_high") + _SLIGHT for c in told)
+    return share_of("closure interval covers but for 0.01", (a and b for a, b in zip(low, high, strict=True)))
 
 
 def _of_system(system: str, cases: Sequence[Judged]) -> list[Metric]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -207,6 +208,10 @@ class MovingBodies:
 
     @property
     def starts(self) -> tuple[Array, ...]:
+        return self._starts
+
+    @cached_property
+    def _starts(self) -> tuple[Array, ...]:
         seen = self.data.reshape(len(self.data), -1, 2, self.body.frames)
         points = np.moveaxis(seen, -1, 1)
         short, long = (np.stack(each) for each in zip(*map(self.body.begun, points), strict=True))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Gauss-Legendre nodes of an exposure, and of differences by time.
+#: Gauss-Legendre nodes of an exposure; the share of a frame over which a speed is taken.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 _NEAR = 0.02
 

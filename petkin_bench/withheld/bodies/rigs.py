@@ -71,7 +71,6 @@ class Rig:
         if self.wall:
             return _between_walls(self, starts, parameters, kit, times)
         half, count = self.half, len(starts)
-        turns = 4 if self.turning else 0
         q = _as_quaternions(starts[:, :half]) if self.turning else starts[:, :half]
         width = q.shape[1]
 
@@ -79,14 +78,14 @@ class Rig:
             state = flat.reshape(count, -1)
             places, speeds = state[:, :width], state[:, width:]
             faster = self.pull(t, places, speeds, parameters, kit) + more(t, places, speeds, kit, half)
-            moved = speeds if not turns else np.concatenate([speeds[:, :3], _spun(places[:, 3:], speeds[:, 3:])], 1)
+            moved = speeds
+            if self.turning:
+                moved = np.concatenate([speeds[:, :3], _spun(places[:, 3:], speeds[:, 3:])], axis=1)
             return np.concatenate([moved, faster], axis=1).ravel()
 
         begin = np.concatenate([q, starts[:, half:]], axis=1).ravel()
         span = (0.0, float(times[-1]) + 1e-6)
-        found = solve_ivp(
-            rate, span, begin, "LSODA", np.maximum(times, 0.0), rtol=_RTOL, atol=_ATOL, max_step=self.interval
-        )
+        found = solve_ivp(rate, span, begin, "LSODA", times, rtol=_RTOL, atol=_ATOL, max_step=self.interval)
         return np.moveaxis(found.y.reshape(count, -1, len(times))[:, :width], 1, 2)
 
 
@@ -103,8 +102,6 @@ def more(t: float, q: Array, v: Array, kit: Kit, half: int) -> Array:
         found[:, 0] -= kit["well"] * away * np.exp(-0.5 * (away / kit["wide"]) ** 2)
     if "ramp" in kit:
         found[:, 0] += kit["ramp"] * t
-    if "lag" in kit:
-        found -= kit["lag"] * v * np.exp(-t / 1.0)
     return found
 
 
@@ -205,7 +202,7 @@ def _between_walls(rig: Rig, starts: Array, parameters: Array, kit: Kit, times: 
     def faster(t: float, q: Array, v: Array) -> Array:
         return rig.pull(t, q, v, parameters, kit) + more(t, q, v, kit, half)
 
-    for goal in np.maximum(times, 0.0):
+    for goal in times:
         steps = max(int(np.ceil((goal - now) / _SHORT)), 1) if goal > now else 0
         for _ in range(steps):
             h = (goal - now) / steps if steps else 0.0

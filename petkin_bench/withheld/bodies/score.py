@@ -31,7 +31,7 @@ def _sizes(cases: Sequence[Judged]) -> list[Metric]:
 
 
 def _held_nearly(cases: Sequence[Judged]) -> Metric:
-    """Names here have the very form of what is missing and leave nothing at all, of which an interval cannot be sure."""
+    """Names here have the very form of what is missing and leave nothing, of which an interval cannot be sure."""
     told = [c for c in strong_ones(cases) if c.claimed and c.cells["closure"]]
     low = (c.number("closure_low") - _SLIGHT <= c.number("closed") for c in told)
     high = (c.number("closed") <= c.number("closure_high") + _SLIGHT for c in told)

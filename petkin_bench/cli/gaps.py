@@ -171,8 +171,8 @@ def withheld(
             "split": split,
             "seed": seed,
             "scans": cases,
-            "regions": regions,
-            "frames": frames,
+            "regions": "" if system else regions,
+            "frames": "" if system else frames,
             "draws": draws,
             "without": without,
         }

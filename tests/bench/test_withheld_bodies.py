@@ -142,7 +142,7 @@ def test_verdicts_are_resumed_and_scored(tmp_path: Path) -> None:
     assert verdicts.read_text() == first
     (case,) = joined(verdicts, answers)
     assert case.cells["system"] == "pendulum"
-    assert {m.name for m in body_metrics([case])} >= {"bodies: CPU s a scan, median"}
+    assert {m.name for m in body_metrics([case])} >= {"pendulum: CPU s a scan, median"}
 
 
 CELLS = {
@@ -189,7 +189,7 @@ def test_metrics_count_what_each_system_got_right() -> None:
     assert "bodies: onset within a frame" not in found
     assert found["bodies: closure interval covers but for 0.01"].value == 1.0
     beyond = body_metrics([Judged(CELLS | {"closure_high": "0.93"}), Judged(CELLS | {"closure_high": "0.945"})])
-    assert {m.name: m.value for m in beyond}["bodies: closure interval covers but for 0.01"] == 0.5
+    assert {m.name: m.value for m in beyond}["pendulum: closure interval covers but for 0.01"] == 0.5
 
 
 def test_plans_that_make_no_sense() -> None:

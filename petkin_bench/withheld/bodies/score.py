@@ -14,11 +14,14 @@ _NEAR, _BEYOND, _SLIGHT = 0.2, 5.0, 0.01
 
 
 def body_metrics(cases: Sequence[Judged]) -> list[Metric]:
-    """Every metric of a run that any case has a part in."""
+    """Every metric of a run that any case has a part in; of several systems, of each besides."""
+    systems = [name for name in RIGS if any(c.cells["system"] == name for c in cases)]
     found = [*verdict_metrics(cases, _sizes(cases)), _held_nearly(cases)]
-    for system in RIGS:
-        found += _of_system(system, [c for c in cases if c.cells["system"] == system])
-    return [replace(m, name=f"bodies: {m.name}") for m in found if m.cases]
+    if len(systems) > 1:
+        for system in systems:
+            found += _of_system(system, [c for c in cases if c.cells["system"] == system])
+    whose = systems[0] if len(systems) == 1 else "bodies"
+    return [replace(m, name=f"{whose}: {m.name}") for m in found if m.cases]
 
 
 def _sizes(cases: Sequence[Judged]) -> list[Metric]:

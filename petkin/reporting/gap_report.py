@@ -70,7 +70,7 @@ def render_gap_report(report: GapReport) -> str:
         pictures = [_curve(report, r) for r in _most_changed(report)]
         brain = None if report.gap_map is None else _brain(report.gap_map)
         states = [] if report.lacking is None else state_pictures(report.lacking)
-        bars = _bars(report) if report.answer["causes"] else None
+        bars = cause_bars(report.answer) if report.answer["causes"] else None
         return (
             environment()
             .get_template("gap_report.html.j2")
@@ -82,12 +82,13 @@ def render_gap_report(report: GapReport) -> str:
                 bars=bars,
                 brain=brain,
                 states=states,
-                grade=_grade(report.answer),
+                grade=grade_of(report.answer),
             )
         )
 
 
-def _grade(answer: dict[str, Any]) -> str:
+def grade_of(answer: dict[str, Any]) -> str:
+    """How the page marks a verdict."""
     return {"none": "clear", "named": "care", "ambiguous": "care", "unknown": "unusable"}[answer["verdict"]["kind"]]
 
 
@@ -146,10 +147,10 @@ def _curve(report: GapReport, region: int) -> Picture:
     return picture(figure, alt=f"{name}: measured curve, and predictions without and with the cause.", heading=name)
 
 
-def _bars(report: GapReport) -> Picture:
-    """Posterior over causes and stages' closure, the verdict's set marked."""
-    causes = report.answer["causes"][:_SHOWN]
-    chosen = set(report.answer["verdict"]["set"])
+def cause_bars(answer: dict[str, Any]) -> Picture:
+    """Posterior over the causes of an answer and their closure, the verdict's set marked."""
+    causes = answer["causes"][:_SHOWN]
+    chosen = set(answer["verdict"]["set"])
     labels = ["+".join(c["effects"]) for c in causes]
     figure = new_figure(9.0, 0.9 + 0.32 * len(causes))
     left = figure.add_axes((0.33, 0.2, 0.3, 0.68))

@@ -24,13 +24,13 @@ def diagnose(
     """Ask the engine of `petkin diagnose` what is missing in the law, the camera or the clock of a physics system.
 
     With --runs, of places that you give; with --effect, of runs with one effect in them: the answer is printed (and
-    written, with the runs as --runs reads them). Without either, every effect of the catalogue at half of its range and
-    as many runs without any, appended to petkin_bench/results/moving_bodies.csv.
+    written, as JSON and a page, with the runs as --runs reads them). Without either, every effect of the catalogue at
+    half of its range and as many runs without any, appended to petkin_bench/results/moving_bodies.csv.
     """
     from petkin.cli.progress import progress_bar
     from petkin.errors import InputError
     from petkin.io import json_text, write_text
-    from petkin_bench.gaps import find_body
+    from petkin_bench.gaps import MovingBodies, find_body
     from petkin_bench.gaps import runs as moving
     from petkin_bench.provenance import append_rows
 
@@ -49,10 +49,14 @@ def diagnose(
     else:
         data = moving.one_effect(body, str(effect), trials=trials, noise=noise, seed=seed)
     with progress_bar() as bar:
-        answer = moving.answer_about(body, data, seed=seed, progress=bar)
+        found, answer = moving.answer_about(body, data, seed=seed, progress=bar)
     typer.echo(answer["verdict"]["sentence"])
     if out is not None:
-        write_text(out / f"{answer['subject']}_desc-gap_report.json", json_text(answer))
+        from petkin_bench.gaps.page import render_body_page
+
+        report = out / f"{answer['subject']}_desc-gap_report.json"
+        write_text(report, json_text(answer))
+        write_text(report.with_suffix(".html"), render_body_page(MovingBodies(body, data), found, answer))
         if runs is None:
             write_text(out / f"{answer['subject']}_runs.csv", moving.written_runs(body, data))
 

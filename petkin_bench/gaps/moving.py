@@ -165,6 +165,10 @@ class MovingBodies:
         """The data as samples (trials, P 2 T)."""
         return self._mixed(self.data)
 
+    def places(self, samples: Array) -> Array:
+        """Samples as places in pictures (trials, P 2 T)."""
+        return self._mixed(samples, back=True)
+
     def _mixed(self, places: Array, back: bool = False) -> Array:
         """Places (..., P 2 T) as samples, or the other way round."""
         axes = helmert(self._points, full=True)
@@ -228,7 +232,7 @@ class MovingBodies:
 
     def departing(self, values: Array) -> tuple[Profiles, ...]:
         """Pictures that are shifted, turned or larger, come early or late, or points that go ways of their own."""
-        seen = self._mixed(values, back=True).reshape(len(values), -1, 2, self.body.frames)
+        seen = self.places(values).reshape(len(values), -1, 2, self.body.frames)
         x, y = seen[:, :, 0], seen[:, :, 1]
         one, none = np.ones_like(x), np.zeros_like(x)
         ways = ((one, none), (none, one), (-y, x), (x, y), tuple(np.gradient(each, axis=-1) for each in (x, y)))

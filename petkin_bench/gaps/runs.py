@@ -102,11 +102,13 @@ def one_effect(body: Body, effect: str, *, trials: int, noise: float, seed: int)
     return simulate_runs(body, effects, trials=trials, noise=noise, rng=np.random.default_rng(seed))
 
 
-def answer_about(body: Body, data: Array, *, seed: int, progress: Told = lambda *_: None) -> dict[str, Any]:
-    """The answer about runs (trials, P 2 T)."""
+def answer_about(
+    body: Body, data: Array, *, seed: int, progress: Told = lambda *_: None
+) -> tuple[Diagnosis, dict[str, Any]]:
+    """What is found of runs (trials, P 2 T), and the answer about it."""
     started = time.process_time()
     found = diagnose_runs(body, data, seed=seed, progress=progress)
-    return body_answer(body, found, seed=seed, seconds=round(time.process_time() - started, 2))
+    return found, body_answer(body, found, seed=seed, seconds=round(time.process_time() - started, 2))
 
 
 def written_runs(body: Body, data: Array) -> str:
@@ -233,7 +235,8 @@ def _sentence(found: Diagnosis) -> str:
         nearest = "" if leader is None else f"; the nearest is {words(leader.label)}"
         return f"There is a gap that no catalogued effect explains{nearest}."
     closed = leader.closure
-    share = "" if closed is None else f" explains {closed.value:.0%} of the gap ({closed.low:.0%} to {closed.high:.0%})"
+    verb = "explains" if len(leader.effects) == 1 else "together explain"
+    share = "" if closed is None else f" {verb} {closed.value:.0%} of the gap ({closed.low:.0%} to {closed.high:.0%})"
     others = " or ".join(words(label) for label in found.chosen[1:])
     return f"{sized(leader)}{share}" + (f"; these runs cannot split it from {others}." if others else ".")
 

@@ -53,7 +53,7 @@ def test_what_a_shaking_camera_moves_is_told_from_the_points_own_noise() -> None
     spread = simulator.spread(simulator.samples).reshape(3, 4, 2, 45)
     assert spread[:, 1:].max() == spread.min() == 1.0
     assert spread[0, 0, 0, 0] == pytest.approx(np.sqrt(1.0 + 4 * 2.0**2), rel=0.2)
-    np.testing.assert_allclose(simulator._mixed(simulator.samples, back=True), simulator.data, atol=1e-12)
+    np.testing.assert_allclose(simulator.places(simulator.samples), simulator.data, atol=1e-12)
 
 
 def test_a_shutter_averages_about_the_middle_of_its_time() -> None:
@@ -73,7 +73,7 @@ def test_a_shutter_averages_about_the_middle_of_its_time() -> None:
 
 def one_case(body: Body, effect: str, *, trials: int, noise: float, seed: int) -> dict[str, Any]:
     data = runs.one_effect(body, effect, trials=trials, noise=noise, seed=seed)
-    return runs.answer_about(body, data, seed=seed)
+    return runs.answer_about(body, data, seed=seed)[1]
 
 
 def _states(body: Body, starts: np.ndarray) -> np.ndarray:
@@ -212,6 +212,10 @@ def test_the_command_writes_runs_that_it_reads_again(tmp_path: Path) -> None:
     )
     assert made.output == again.output
     assert made.output.startswith("Damping quadratic of 0.")
+    page = (out / REPORT).with_suffix(".html").read_text()
+    assert made.output.strip() in page
+    assert page.count("<img ") == 2 + 6 + 1
+    assert "<script" not in page
     first, second = (json.loads((folder / REPORT).read_text()) for folder in (out, tmp_path / "own"))
     jsonschema.validate(first, SCHEMA)
     assert {k: v for k, v in first.items() if k != "provenance"} == {

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin_bench.gaps.moving import CAMERA, Body, compiled, hypothesis
+from petkin_bench.gaps.moving import CAMERA, Body, hypothesis
+from petkin_bench.gaps.stepping import compiled
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin_bench.gaps.moving import CAMERA, Body, compiled, forcing, friction, hypothesis, pushed
+from petkin_bench.gaps.moving import CAMERA, Body, forcing, hypothesis
+from petkin_bench.gaps.stepping import compiled, friction, pushed
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from petkin_bench.gaps.moving import CAMERA, Body, compiled, forcing, hypothesis, pushed
+from petkin_bench.gaps.moving import CAMERA, Body, forcing, hypothesis
+from petkin_bench.gaps.stepping import compiled, pushed
 
 Array = NDArray[np.float64]
 

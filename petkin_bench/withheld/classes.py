@@ -83,11 +83,18 @@ def ceiling_of(made: Made, columns: list[tuple[str, Array]], same: tuple[str, ..
     """Share of noise draws in which the best matched filter, one a name, is one of the class."""
     if made.cause.flag:
         return 1.0
+    return named_by_filters(made.seen.left, made.cause.name, columns, same, rng)
+
+
+def named_by_filters(
+    left: Array, name: str, columns: list[tuple[str, Array]], same: tuple[str, ...], rng: np.random.Generator
+) -> float:
+    """The same for what a refit leaves of a cause (n,), whatever it is a cause in."""
     first: dict[str, Array] = {}
-    for name, column in columns:
-        first.setdefault(name, column)
-    first[made.cause.name] = made.seen.left
+    for other, column in columns:
+        first.setdefault(other, column)
+    first[name] = left
     unit = np.stack([c / np.linalg.norm(c) for c in first.values()], axis=1)
-    scores = np.abs((made.seen.left + rng.standard_normal((_FILTERED, len(unit)))) @ unit)
+    scores = np.abs((left + rng.standard_normal((_FILTERED, len(unit)))) @ unit)
     names = list(first)
     return float(np.mean([names[k] in same for k in scores.argmax(axis=1)]))

@@ -16,6 +16,7 @@ from petkin_bench.withheld.bodies.causes import KNOWN, Cause, other_forms, unkno
 from petkin_bench.withheld.bodies.refit import Law, watched
 from petkin_bench.withheld.bodies.rigs import RIGS, Rig
 from petkin_bench.withheld.bodies.score import body_metrics
+from petkin_bench.withheld.classes import named_by_filters
 from petkin_bench.withheld.making import BINS
 from petkin_bench.withheld.score import Judged, joined
 
@@ -199,3 +200,12 @@ def test_plans_that_make_no_sense() -> None:
         replace(usual, system="yo-yo")
     with pytest.raises(InputError, match="--system bodies: leave --images"):
         replace(usual, images=True)
+
+
+def test_a_matched_filter_names_a_strong_cause_beside_others() -> None:
+    axes = 10.0 * np.eye(6)
+    columns = [("other", axes[1]), ("third", axes[2])]
+    named = [
+        named_by_filters(axes[0], "mine", columns, (same,), np.random.default_rng(2)) for same in ("mine", "other")
+    ]
+    assert named == [1.0, 0.0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from petkin_bench.withheld.bodies.causes import KNOWN, Cause, Drawn, other_forms
 from petkin_bench.withheld.bodies.refit import Watched, watched
 from petkin_bench.withheld.bodies.rigs import RIGS, Kit, Rig
 from petkin_bench.withheld.cases import SPLITS
+from petkin_bench.withheld.classes import named_by_filters
 from petkin_bench.withheld.making import BINS
 from petkin_bench.withheld.noise import KINDS
 from petkin_bench.withheld.visibility import cosines, perpendicular
@@ -26,8 +27,8 @@ _KINDS = {"none": 0.25, "known": 0.35, "other form": 0.12, "unknown": 0.13, "pai
 NOISE, RUNS = (0.003, 0.01, 0.02), (2, 3, 5)
 #: Each of a pair alone, and what the other leaves of it.
 _PAIR, _PAIR_LEAST = (7.0, 14.0), 6.0
-#: Causes alike above this cosine are one class; draws of noise that a filter sees; how near a strength must be.
-_SAME, _FILTERED, _CLOSE = 0.95, 400, 0.08
+#: Causes alike above this cosine are one class; how near a strength must be.
+_SAME, _CLOSE = 0.95, 0.08
 #: Draws of a cause at most; after so many that reach no strength, noise is as small as can be.
 _TRIES, _QUIET = 120, 30
 #: Pitches of a push that a class is asked at.
@@ -92,8 +93,7 @@ class Scene:
 
     def quieter(self, attempt: int) -> Scene:
         """After many attempts, with little noise."""
-        sd = NOISE[0] if attempt >= _QUIET else self.sd
-        return Scene(self.rng, self.rig, self.starts, self.parameters, sd, self.share)
+        return replace(self, sd=NOISE[0]) if attempt >= _QUIET else self
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def _answer(scene: Scene, kind: str, split: str, noise: str) -> FilmAnswer:
         return _told(scene, kind, noise, (made,), made.seen, perpendicular=left, classes=(), ceiling=0.0)
     same = class_of(made, columns)
     left = perpendicular(made.seen.left, [c for name, c in columns if name not in same])
-    ceiling = ceiling_of(made, columns, same, scene.rng)
+    ceiling = named_by_filters(made.seen.left, made.cause.name, columns, same, scene.rng)
     return _told(scene, kind, noise, (made,), made.seen, perpendicular=left, classes=(same,), ceiling=ceiling)
 
 
@@ -250,18 +250,6 @@ def class_of(made: Made, columns: list[tuple[str, Array]]) -> tuple[str, ...]:
     alike = cosines(np.stack([made.seen.left, *(c for _, c in columns)], axis=1))[0, 1:]
     same = {name for (name, _), c in zip(columns, alike, strict=True) if c >= _SAME}
     return tuple(sorted({made.cause.name} | same))
-
-
-def ceiling_of(made: Made, columns: list[tuple[str, Array]], same: tuple[str, ...], rng: np.random.Generator) -> float:
-    """Share of noise draws in which the best matched filter, one a name, is one of the class."""
-    first: dict[str, Array] = {}
-    for name, column in columns:
-        first.setdefault(name, column)
-    first[made.cause.name] = made.seen.left
-    unit = np.stack([c / np.linalg.norm(c) for c in first.values()], axis=1)
-    scores = np.abs((made.seen.left + rng.standard_normal((_FILTERED, len(unit)))) @ unit)
-    names = list(first)
-    return float(np.mean([names[k] in same for k in scores.argmax(axis=1)]))
 
 
 def _pair(scene: Scene, noise: str) -> FilmAnswer:

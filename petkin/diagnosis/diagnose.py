@@ -23,7 +23,7 @@ from petkin.diagnosis.profile import profiles
 from petkin.diagnosis.refit import Fit, begun, refit
 from petkin.diagnosis.scan import Scan, Template, starts, templates
 from petkin.diagnosis.sets import LAPSE, LAPSE_WITHIN, confusability, probabilities, smallest_set
-from petkin.diagnosis.unknown import Elsewhere, Smooth, beside, driven
+from petkin.diagnosis.unknown import Elsewhere, Smooth, beside, driven, left_beside
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import over
 from petkin.diagnosis.which import Candidate, again, refitted, singles
@@ -232,8 +232,9 @@ def _verdict(
     lapse = LAPSE
     if elsewhere is not None:
         unnamed, place, lapse = elsewhere.joined(unnamed), elsewhere.place(unnamed, place), LAPSE_WITHIN
-    named = beside(simulator, noise, ranked, elsewhere)
-    probability, unknown = probabilities({c.label: value for c, value in zip(ranked, named)}, unnamed, lapse=lapse)
+    left_by = {c.label: left for c, left in zip(ranked, left_beside(simulator, noise, ranked, elsewhere), strict=True)}
+    named = {c.label: beside(c.log_evidence, left_by[c.label]) for c in ranked}
+    probability, unknown = probabilities(named, unnamed, lapse=lapse)
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
     listed = sorted(listed, key=lambda c: -probability[c.label])
     listed = [c if c.fit is not None else _with_fit(simulator, data, explained, c) for c in listed]
@@ -255,6 +256,7 @@ def _verdict(
             estimates(c, simulator, base, noise),
             closure(base, c.fit, shape, beyond[c.label], alone) if c.fit is not None else None,
             c.fit,
+            left_by[c.label],
         )
         for c in listed
     )

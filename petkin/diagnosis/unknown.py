@@ -233,29 +233,42 @@ class Elsewhere:
         return max(self.unnamed - max((self.told.get(name, 0.0) for name in names), default=0.0), 0.0)
 
 
-def beside(
+def left_beside(
     simulator: Simulator, noise: Noise, ranked: Sequence[Explanation], elsewhere: Elsewhere | None = None
-) -> list[float]:
-    """log evidence of each explanation with what it leaves explained by a gap of no name beside it; ranked as they are.
-
-    A name that a smooth discrepancy cannot stand in for keeps its claim, whatever else is in the data.
+) -> list[float | None]:
+    """log evidence of a gap of no name in what each explanation leaves; None where nobody looked.
 
     Args:
         simulator: what is departed from.
         noise: its covariance.
-        ranked: explanations, best first; those far down, or without a fit, keep their own evidence.
+        ranked: explanations, best first; those far down, or without a fit, are not looked at.
         elsewhere: what was seen beside the channels.
     """
-    found, looked = [], 0
+    found: list[float | None] = []
+    looked = 0
     for candidate in ranked:
-        fit, value = candidate.fit, candidate.log_evidence
-        if fit is not None and looked < _BESIDE:
-            projection = Projection.of_fit(fit)
-            smooth = Smooth.around(simulator.departing(fit.values), simulator.times, noise, projection)
-            left = float(smooth.evidence(projection.left_of(fit)))
-            left += 0.0 if elsewhere is None else elsewhere.beyond(candidate.names)
-            more = min(left, _SMALL * max(value, 0.0))
-            value = float(np.logaddexp(value, value + more - _STRANGER))
-            looked += 1
-        found.append(value)
+        fit = candidate.fit
+        if fit is None or looked == _BESIDE:
+            found.append(None)
+            continue
+        projection = Projection.of_fit(fit)
+        smooth = Smooth.around(simulator.departing(fit.values), simulator.times, noise, projection)
+        here = float(smooth.evidence(projection.left_of(fit)))
+        found.append(here + (0.0 if elsewhere is None else elsewhere.beyond(candidate.names)))
+        looked += 1
     return found
+
+
+def beside(log_evidence: float, left: float | None) -> float:
+    """log evidence of an explanation with what it leaves explained by a gap of no name beside it.
+
+    A name that a smooth discrepancy cannot stand in for keeps its claim, whatever else is in the data.
+
+    Args:
+        log_evidence: of the explanation alone.
+        left: of a gap of no name in what it leaves, where that is known.
+    """
+    if left is None:
+        return log_evidence
+    more = min(left, _SMALL * max(log_evidence, 0.0))
+    return float(np.logaddexp(log_evidence, log_evidence + more - _STRANGER))

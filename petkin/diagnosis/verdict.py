@@ -31,6 +31,7 @@ class Cause:
         estimates: amplitude first.
         closure: share of the gap that it closes, held out.
         fit: with it.
+        left: log evidence of a gap of no name in what it leaves, where somebody looked.
     """
 
     effects: tuple[str, ...]
@@ -40,6 +41,7 @@ class Cause:
     estimates: tuple[Estimate, ...] = ()
     closure: Interval | None = None
     fit: Fit | None = None
+    left: float | None = None
 
     @property
     def label(self) -> str:

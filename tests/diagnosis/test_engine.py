@@ -51,6 +51,18 @@ def test_its_size_is_found_with_its_error(name: str) -> None:
     assert width < 0.3 * true
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_a_name_leaves_is_noise_unless_something_is_there_besides(seed: int) -> None:
+    data = measured(np.random.default_rng(seed), Term(hypothesis("step"), 0.2, {"onset": 4.0}), sd=0.02)
+    bump = 1.0 + 0.06 * np.exp(-0.5 * ((SIMULATOR.times - 7.0) / 0.8) ** 2)
+    alone, beside = (diagnose(SIMULATOR, values, HYPOTHESES, draws=100).causes for values in (data, data * bump))
+    assert (alone[0].label, beside[0].label) == ("step", "step")
+    assert alone[0].left is not None
+    assert beside[0].left is not None
+    assert alone[0].left < 2.0
+    assert beside[0].left > 10.0
+
+
 def test_onset_and_region_of_a_local_effect() -> None:
     answer = found(local_step(0.25))
     assert answer.onset == pytest.approx(5.0, abs=0.5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from petkin.diagnosis import Cause, Diagnosis, Estimate, diagnose
-from petkin.study.diagnosis.answer import sentence
+from petkin.study.diagnosis.answer import cause_entry, sentence
 
 from .decaying_channels import HYPOTHESES, DecayingChannels, measured
 
@@ -50,3 +50,14 @@ def test_a_law_of_noise_is_no_share_of_a_gap(calm: Diagnosis) -> None:
     assert sentence(found) == (
         "Noise variance of 0.692 (0: as counts, 1: one size in all frames); no gap in the mean is claimed."
     )
+
+
+@pytest.mark.parametrize(("left", "said"), [(None, ""), (1.3, ""), (13.6, " What that leaves is more than noise ")])
+def test_what_a_cause_leaves_is_said_where_it_is_no_noise(calm: Diagnosis, left: float | None, said: str) -> None:
+    step = Cause(("gain_step",), ("imaging",), 0.97, 20.0, (Estimate("amplitude", "1", 0.1, 0.09, 0.11),), left=left)
+    found = replace(calm, present=True, causes=(step,), chosen=("gain_step",))
+    first, second = sentence(found)[: len("Gain step of 0.1.")], sentence(found)[len("Gain step of 0.1.") :]
+    assert first == "Gain step of 0.1."
+    assert second.startswith(said)
+    assert bool(second) == bool(said)
+    assert cause_entry(step).get("log_evidence_left") == left

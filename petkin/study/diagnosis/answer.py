@@ -55,6 +55,8 @@ _WAYS = (
 _DIGITS = 6
 #: The smallest d' that is said as a number; share of noise common to frames in which much could hide.
 _LEAST, _MUCH = 0.01, 0.3
+#: Log evidence of a gap of no name in what a cause leaves, from which on it is said.
+_LEFT = 5.0
 #: P-value below which a reader wants to know from which on there is a gap.
 DOUBTFUL = 0.1
 
@@ -175,7 +177,7 @@ def cause_entry(cause: Cause) -> dict[str, Any]:
         "estimate": estimate,
         "log_evidence_gain": cause.log_evidence,
         "closure": None if closed is None else {"value": closed.value, "low": closed.low, "high": closed.high},
-    }
+    } | ({} if cause.left is None else {"log_evidence_left": cause.left})
 
 
 def words(label: str) -> str:
@@ -208,10 +210,19 @@ def sentence(found: Diagnosis) -> str:
         return f"{sized(leader)} (0: as counts, 1: one size in all frames); no gap in the mean is claimed."
     closed, verb = leader.closure, "explains" if len(leader.effects) == 1 else "together explain"
     share = "" if closed is None else f" {verb} {closed.value:.0%} of the gap ({closed.low:.0%} to {closed.high:.0%})"
-    if found.kind == "named":
-        return f"{sized(leader)}{share}."
     others = " or ".join(words(label) for label in found.chosen[1:])
-    return f"{sized(leader)}{share}; these data cannot split it from {others}."
+    split = f"; these data cannot split it from {others}" if others else ""
+    return f"{sized(leader)}{share}{split}.{remaining(leader)}"
+
+
+def remaining(cause: Cause) -> str:
+    """What is left beside a cause, as a second sentence; nothing where that looks like noise."""
+    if cause.left is None or cause.left < _LEFT:
+        return ""
+    return (
+        f" What that leaves is more than noise (log evidence {cause.left:.2g}): "
+        "its course may be another than the catalogue's, or something else be there besides."
+    )
 
 
 def _p(found: Diagnosis) -> str:

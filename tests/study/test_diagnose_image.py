@@ -16,12 +16,17 @@ from scipy.ndimage import gaussian_filter, shift
 
 from petkin.diagnosis import Best, Cause, Contrasted, Estimate, Hypothesis, Pattern, Shape
 from petkin.study.diagnose import Diagnosed, diagnose_study
+from petkin.study.diagnosis import imaged
 from petkin.study.diagnosis.answer import cause_entry, sized
 from petkin.study.diagnosis.imaged import _sized, _timed
+from petkin.study.diagnosis.picture import Voxels
+from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.request import DiagnoseRequest
+from petkin.study.diagnosis.resting import at_rest
 from petkin.study.diagnosis.spatial import Looked
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings
+from petkin.study.sources import Source
 
 SCHEMA = json.loads((files("petkin.reporting") / "schemas" / "gap-report-1.json").read_text())
 VOXEL, ONSET_MIN, NOISE = 4.0, 30.0, 0.10
@@ -163,6 +168,22 @@ def test_a_long_way_is_named_and_is_no_gap_once_included(tmp_path: Path) -> None
     assert one.answer["verdict"]["kind"] == "none"
     moved = next(e for e in one.answer["simulator"]["fitted"] if (e["effect"], e["symbol"]) == ("motion_step", "moved"))
     assert moved["value"] == pytest.approx(9.0, abs=1.0)
+
+
+def test_a_picture_at_rest_has_the_noise_of_what_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames that are laid back between voxels are smoother; their curves are asked as they were recorded."""
+    ratios: list[np.ndarray] = []
+
+    def kept(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Voxels | None:
+        rest = at_rest(source, voxels, simulator)
+        if rest is not None:
+            ratios.append(np.median(rest.spread / voxels.spread, axis=1))
+        return rest
+
+    monkeypatch.setattr(imaged, "at_rest", kept)
+    diagnosed(spoilt(tmp_path, moved_mm=(9.0, 0.0, 0.0)), tmp_path / "out")
+    (ratio,) = ratios
+    np.testing.assert_allclose(ratio, 1.0, atol=0.25)
 
 
 def test_blur_is_named_with_its_width(tmp_path: Path) -> None:

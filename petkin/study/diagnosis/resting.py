@@ -47,7 +47,7 @@ def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Vox
     """
     alone, still, gone = bare(simulator), voxels, None
     for _ in range(_ROUNDS):
-        found = registered(_recorded(still, voxels), drawn_of(still), simulator.clock)
+        found = registered(_recorded(still, voxels, alone), drawn_of(still), simulator.clock)
         if found is None or found.is_that(gone):
             break
         picture = picture_of(source, alone, still.fit, found)
@@ -56,9 +56,11 @@ def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Vox
         gone = found
         fit, *_ = base_fit(alone, Voxels.of(picture, alone, still.fit).means)
         still = Voxels.of(picture, alone, fit)
-    return None if gone is None else replace(_recorded(still, voxels), gone=gone)
+    return None if gone is None else replace(_recorded(still, voxels, alone), gone=gone)
 
 
-def _recorded(still: Voxels, voxels: Voxels) -> Voxels:
-    """A picture at rest with the curves of its voxels as they were recorded."""
-    return replace(still, picture=replace(still.picture, curves=voxels.picture.curves, grain=voxels.picture.grain))
+def _recorded(still: Voxels, voxels: Voxels, simulator: RegionalSimulator) -> Voxels:
+    """A picture at rest with the curves of its voxels as they were recorded, and their noise: what is laid between
+    voxels has less."""
+    curves, grain = voxels.picture.curves, voxels.picture.grain
+    return Voxels.of(replace(still.picture, curves=curves, grain=grain), simulator, still.fit)

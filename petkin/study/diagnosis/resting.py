@@ -45,9 +45,10 @@ def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Vox
         voxels: of its segmentation, as they are.
         simulator: what predicts the means over its regions.
     """
-    alone, still, gone = bare(simulator), voxels, None
+    alone, gone = bare(simulator), None
+    still = recorded = voxels
     for _ in range(_ROUNDS):
-        found = registered(_recorded(still, voxels, alone), drawn_of(still), simulator.clock)
+        found = registered(recorded, drawn_of(still), simulator.clock)
         if found is None or found.is_that(gone):
             break
         picture = picture_of(source, alone, still.fit, found)
@@ -56,11 +57,11 @@ def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Vox
         gone = found
         fit, *_ = base_fit(alone, Voxels.of(picture, alone, still.fit).means)
         still = Voxels.of(picture, alone, fit)
-    return None if gone is None else replace(_recorded(still, voxels, alone), gone=gone)
+        recorded = Voxels.of(_recorded(picture, voxels.picture), alone, fit)
+    return None if gone is None else replace(recorded, gone=gone)
 
 
-def _recorded(still: Voxels, voxels: Voxels, simulator: RegionalSimulator) -> Voxels:
+def _recorded(laid: Picture, picture: Picture) -> Picture:
     """A picture at rest with the curves of its voxels as they were recorded, and their noise: what is laid between
     voxels has less."""
-    curves, grain = voxels.picture.curves, voxels.picture.grain
-    return Voxels.of(replace(still.picture, curves=curves, grain=grain), simulator, still.fit)
+    return replace(laid, curves=picture.curves, grain=picture.grain)

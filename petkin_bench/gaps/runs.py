@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from petkin import __version__
 from petkin.diagnosis import Diagnosis, Term, diagnose, indistinct
 from petkin.errors import InputError
-from petkin.study.diagnosis.answer import cause_entry, remaining, sized, words
+from petkin.study.diagnosis.answer import cause_entry
+from petkin.study.diagnosis.sentences import explained, words
 from petkin_bench.gaps.moving import Body, MovingBodies
 from petkin_bench.withheld.bodies.rigs import RIGS
 
@@ -234,12 +235,7 @@ def _sentence(found: Diagnosis) -> str:
     if found.kind == "unknown" or leader is None:
         nearest = "" if leader is None else f"; the nearest is {words(leader.label)}"
         return f"There is a gap that no catalogued effect explains{nearest}."
-    closed = leader.closure
-    verb = "explains" if len(leader.effects) == 1 else "together explain"
-    share = "" if closed is None else f" {verb} {closed.value:.0%} of the gap ({closed.low:.0%} to {closed.high:.0%})"
-    others = " or ".join(words(label) for label in found.chosen[1:])
-    split = f"; these runs cannot split it from {others}" if others else ""
-    return f"{sized(leader)}{share}{split}.{remaining(leader)}"
+    return explained(found, "these runs")
 
 
 def single_flight(body: Body) -> Body:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from petkin.diagnosis import Cause, Diagnosis, Estimate, diagnose
-from petkin.study.diagnosis.answer import cause_entry, sentence
+from petkin.study.diagnosis.answer import cause_entry
+from petkin.study.diagnosis.sentences import sentence
 
 from .decaying_channels import HYPOTHESES, DecayingChannels, measured
 

@@ -19,10 +19,10 @@ from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS, effect_named
 from petkin.imaging import FrameObservation, FrameSchedule
 from petkin.inputs import InputFunction
-from petkin.study.diagnosis.answer import sentence
 from petkin.study.diagnosis.blood import read_at, reading_nodes
 from petkin.study.diagnosis.hypotheses import hypotheses, hypothesis_of
 from petkin.study.diagnosis.regional import RegionalSimulator
+from petkin.study.diagnosis.sentences import sentence
 
 from . import independent_scan as scan
 

@@ -17,12 +17,13 @@ from scipy.ndimage import gaussian_filter, shift
 from petkin.diagnosis import Best, Cause, Contrasted, Estimate, Hypothesis, Pattern, Shape
 from petkin.study.diagnose import Diagnosed, diagnose_study
 from petkin.study.diagnosis import imaged
-from petkin.study.diagnosis.answer import cause_entry, sized
+from petkin.study.diagnosis.answer import cause_entry
 from petkin.study.diagnosis.imaged import _sized, _timed
 from petkin.study.diagnosis.picture import Voxels
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.resting import at_rest
+from petkin.study.diagnosis.sentences import sized
 from petkin.study.diagnosis.spatial import Looked
 from petkin.study.simulate import simulate
 from petkin.study.simulation import SimulationSettings

@@ -12,7 +12,7 @@ import pytest
 
 from petkin.imaging.decay import half_life
 from petkin.io import PetSidecar, read_study
-from petkin.study.diagnosis.answer import told
+from petkin.study.diagnosis.sentences import told
 from petkin.study.diagnosis.sidecar import Blunder, blunders
 
 HALF_LIFE_S = 20.364 * 60

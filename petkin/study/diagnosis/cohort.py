@@ -8,7 +8,8 @@ from typing import Any
 from petkin import __version__
 from petkin.diagnosis import CLAIM, Cohort, Group, Interval, SharedCause
 from petkin.effects import effect_named
-from petkin.study.diagnosis.answer import DOUBTFUL, rounded, words
+from petkin.study.diagnosis.answer import rounded
+from petkin.study.diagnosis.sentences import DOUBTFUL, words
 
 SCHEMA = "petkin-gap-cohort/1"
 #: A scan that carries the cause with more than this probability is counted; for sure with more than the other, as one

@@ -281,7 +281,7 @@ def _row(
     """What is said of one scan."""
     started = time.process_time()
     candidates = hypotheses(catalogue, case.simulator, without=frozenset())
-    found, _ = diagnose_curves(case.simulator, case.values, candidates, always=ALWAYS, seed=seed, shared=law)
+    found, *_ = diagnose_curves(case.simulator, case.values, candidates, always=ALWAYS, seed=seed, shared=law)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     row = _said(label, case, found) | {

@@ -7,7 +7,7 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.departures import Departure
 from petkin.diagnosis.design import ABSORBED, Visible, indistinct, witnessed
 from petkin.diagnosis.detect import CLAIM
-from petkin.diagnosis.diagnose import DRAWS, Detected, detect, diagnose, draws_left, foresee_design
+from petkin.diagnosis.diagnose import DRAWS, Detected, Progress, detect, diagnose, draws_left, foresee_design, silent
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Profiles, Shape, Sighting, Simulator, Term
 from petkin.diagnosis.families import Family, holding
 from petkin.diagnosis.how_far import Interval
@@ -52,6 +52,7 @@ __all__ = [
     "Noise",
     "Pattern",
     "Profiles",
+    "Progress",
     "Shape",
     "SharedCause",
     "Sighting",
@@ -75,6 +76,7 @@ __all__ = [
     "map_states",
     "of_nuisance",
     "second_differences",
+    "silent",
     "smallest_set",
     "witnessed",
 ]

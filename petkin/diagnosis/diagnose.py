@@ -72,7 +72,7 @@ class Detected:
         return float(self.against.found.max())
 
 
-def _silent(_: str, __: float) -> None:
+def silent(_: str, __: float) -> None:
     """Tells nobody."""
 
 
@@ -100,7 +100,7 @@ def diagnose(
     seed: int = 0,
     draws: int = DRAWS,
     detected: Detected | None = None,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Diagnosis:
     """Compare data with what a simulator can produce.
 

@@ -14,6 +14,7 @@ from petkin.dynamics.arrays import alike, library
 from petkin.effects.effect import Effect
 from petkin.effects.forward_model import ForwardModel
 from petkin.errors import InputError
+from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction, dispersed
 from petkin.inputs.linearise import piecewise_linear
 from petkin.units import SECONDS_PER_MINUTE
@@ -26,8 +27,8 @@ _NEAREST_RATE = 1e-3
 _DENSE = 300
 #: The longest time constant of a sampling line, s (10 to 12: Iida, see below): no record is smeared by more.
 _SLOWEST_LINE = 12.0
-#: Rate of the tissue around a vessel that an image-derived input takes up from, 1/min.
-_TISSUE_RATE = 0.1
+#: Rate at which the tissue around a vessel takes up, mL/cm3/min.
+_UPTAKE = 0.1
 #: How what the parent fraction lacks goes with time: by a half-time of its own, or with the recorded metabolites, which
 #: come sooner than recorded, are more, or have a steeper course.
 BY_TIME, SOONER, MORE, STEEPER = 0.0, 1.0, 2.0, 3.0
@@ -171,7 +172,7 @@ def _share_and_odds(fraction: Any) -> tuple[Any, Any]:
     return share, (1.0 - share) / share
 
 
-def _with_metabolites(blood: InputFunction) -> tuple[dict[str, float], ...]:
+def _with_metabolites(blood: InputFunction, _: FrameObservation) -> tuple[dict[str, float], ...]:
     """Courses that go as the recorded metabolites do, where there are any."""
     fraction = blood.parent_fraction
     if fraction is None or float(fraction(fraction.knots).min()) > _NEXT_TO_ALL:
@@ -180,15 +181,16 @@ def _with_metabolites(blood: InputFunction) -> tuple[dict[str, float], ...]:
 
 
 def _spilled(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
-    """C - m T, T = k e^{-k t} * C the tissue around the vessel."""
+    """C - m T, T = K e^{-k t} * C the tissue around the vessel."""
+    share, washout = values["share"], values["washout"]
 
     def cleared(forcing: Forcing, end: float) -> Forcing:
         if isinstance(forcing, Shifted):
             return Shifted(cleared(forcing.forcing, end - float(forcing.delay)), forcing.delay)
         curve = straight(forcing, end)
-        around = _TISSUE_RATE * curve.response(_TISSUE_RATE, curve.times)
-        recorded, around, share = alike(curve.values, around, values["share"])
-        return replace(curve, values=recorded - share * around)
+        around = _UPTAKE * curve.response(washout, curve.times)
+        recorded, around, share_of_it = alike(curve.values, around, share)
+        return replace(curve, values=recorded - share_of_it * around)
 
     return _of_all(model, lambda forcing: cleared(forcing, _end(model)))
 
@@ -276,10 +278,14 @@ INPUT_PARTIAL_VOLUME = Effect(
     name="input_partial_volume",
     stage="input",
     parameters=ParameterSet(
-        (Parameter("share", "1", 0.1, -0.1, 0.5, meaning="of the tissue around it in the record"),)
+        (
+            Parameter("share", "1", 0.1, -0.1, 0.5, meaning="of the tissue around it in the record"),
+            Parameter("washout", "min^-1", 0.1, 0.005, 0.5, meaning="rate at which that tissue lets go"),
+        )
     ),
-    meaning="the recorded input holds a share of the tissue around the vessel: C - a k e^{-k t} * C",
+    meaning="the recorded input holds a share of the tissue around the vessel: C - a T, T = 0.1 e^{-k t} * C",
     source="Zanotti-Fregonara P et al. J Cereb Blood Flow Metab 2011;31:1986-1998 (image-derived input)",
     change=_spilled,
     split_by="a few blood samples late in the scan",
+    grid={"washout": (0.02, 0.1)},
 )

@@ -9,16 +9,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from petkin.diagnosis import (
     Detected,
+    Diagnosis,
     Hypothesis,
     Member,
+    Progress,
     Visible,
     base_fit,
     detect,
     diagnose,
     foresee_design,
     in_common,
+    silent,
 )
 from petkin.effects import EFFECTS
 from petkin.effects.noise import NOISE_VARIANCE
@@ -43,18 +49,17 @@ from petkin.study.diagnosis.cohort import cohort_answer
 from petkin.study.diagnosis.gap_map import gap_map, gap_map_sidecar
 from petkin.study.diagnosis.hypotheses import hypotheses
 from petkin.study.diagnosis.imaged import look_at_image, pictured, weighed
-from petkin.study.diagnosis.judging import law_of_noise, laws_in_common, scattered
+from petkin.study.diagnosis.judging import diagnose_curves, law_of_noise, laws_in_common, scattered
 from petkin.study.diagnosis.preparing import prepared, sources_of
 from petkin.study.diagnosis.regional import RegionalSimulator
 from petkin.study.diagnosis.report import Judged, gap_report
 from petkin.study.diagnosis.request import DiagnoseRequest
 from petkin.study.diagnosis.resting import picture_of
-from petkin.study.diagnosis.scatter import Scatter, as_voxels_scatter
+from petkin.study.diagnosis.scatter import as_voxels_scatter
 from petkin.study.diagnosis.shared_law import SharedLaw, of_all
 from petkin.study.diagnosis.sidecar import Blunder, blunders
 from petkin.study.diagnosis.state import read_states
 from petkin.study.diagnosis.state_files import write_states
-from petkin.study.fit_scan import Progress
 from petkin.study.outputs import require_own_folder, write_study_description
 from petkin.study.sources import Source
 
@@ -74,11 +79,7 @@ class Diagnosed:
     remarks: tuple[Remark, ...] = ()
 
 
-def _silent(_: str, __: float) -> None:
-    """Tells nobody."""
-
-
-def diagnose_study(request: DiagnoseRequest, progress: Progress = _silent) -> tuple[Diagnosed, ...]:
+def diagnose_study(request: DiagnoseRequest, progress: Progress = silent) -> tuple[Diagnosed, ...]:
     """Diagnose every scan of a study and write JSON and HTML, each scan whole or not at all.
 
     Of several scans, what they share comes last, under the label "group".
@@ -166,49 +167,66 @@ def _diagnosed(
 ) -> Judged:
     """The sidecar first, then the noise, the image and the regions, each with what came before."""
     shown = blunders(source.sidecar)
-
-    def possible() -> tuple[Hypothesis, ...]:
-        return _candidates(simulator, request, shown)
-
     progress("looking at every effect", 0.0)
-    candidates = seen = possible()
-    scatter, simulator, detected = _law_of_noise(simulator, curves, candidates, request, shared)
+    if source.segmented is not None:
+        found, simulator, detected, gap = _in_image(source, curves, simulator, request, shown, shared, progress)
+    else:
+        candidates, law = _candidates(simulator, request, shown), _law(request, shared)
+        found, simulator, detected = diagnose_curves(simulator, curves.values, candidates, progress=progress, **law)
+        gap = None
+    states = None
+    if members is not None:
+        states = read_states(
+            members,
+            simulator,
+            curves.values,
+            detected.based,
+            _candidates(simulator, request, shown),
+            seed=request.seed,
+            progress=progress,
+        )
+    return Judged(found, simulator, shown, gap, states, shared)
+
+
+def _in_image(
+    source: Source,
+    curves: RegionalCurves,
+    simulator: RegionalSimulator,
+    request: DiagnoseRequest,
+    shown: Sequence[Blunder],
+    shared: SharedLaw | None,
+    progress: Progress,
+) -> tuple[Diagnosis, RegionalSimulator, Detected, NDArray[np.float32]]:
+    """What the voxels of an image and the means over its regions say together, the simulator that knows how it has
+    moved, what a gap of the regions was claimed from, and where in the image it is."""
+    candidates = _candidates(simulator, request, shown)
+    scatter, simulator, detected = law_of_noise(simulator, curves.values, candidates, **_law(request, shared))
     progress("looking at the image", 0.1)
-    picture, imaged = picture_of(source, simulator, detected.based[0]), None
-    if picture is not None:
-        if scatter is not None:
-            scatter = as_voxels_scatter(scatter, simulator, detected.based[0], picture.grain.by_frame)
-        # what voxels say of each region's noise leaves no law of it open
-        simulator = replace(simulator, grain=picture.grain.of_means(), law_errors=simulator.law_errors[:0])
-        based = base_fit(simulator, curves.values)
-        names = frozenset(h.name for h in candidates)
-        simulator, based, rest = pictured(source, picture, simulator, curves.values, based, seed=request.seed)
-        imaged, moving = look_at_image(source, picture, simulator, based[0], names, rest, seed=request.seed)
-        if moving is not simulator:
-            simulator, based = moving, base_fit(moving, curves.values)
-        candidates = possible()
-        seen = tuple(map(imaged.looked.told, candidates))
-        detected = detect(simulator, curves.values, seen, seed=request.seed, based=based)
+    picture = picture_of(source, simulator, detected.based[0])
+    if scatter is not None:
+        scatter = as_voxels_scatter(scatter, simulator, detected.based[0], picture.grain.by_frame)
+    # what voxels say of each region's noise leaves no law of it open
+    simulator = replace(simulator, grain=picture.grain.of_means(), law_errors=simulator.law_errors[:0])
+    based = base_fit(simulator, curves.values)
+    names = frozenset(h.name for h in candidates)
+    simulator, based, rest = pictured(source, picture, simulator, curves.values, based, seed=request.seed)
+    imaged, moving = look_at_image(source, picture, simulator, based[0], names, rest, seed=request.seed)
+    if moving is not simulator:
+        simulator, based = moving, base_fit(moving, curves.values)
+    seen = tuple(map(imaged.looked.told, _candidates(simulator, request, shown)))
+    detected = detect(simulator, curves.values, seen, seed=request.seed, based=based)
     found = diagnose(
         simulator,
         curves.values,
         seen,
         always=ALWAYS,
-        elsewhere=None if imaged is None else imaged.elsewhere,
+        elsewhere=imaged.elsewhere,
         seed=request.seed,
         detected=detected,
         progress=progress,
     )
-    if imaged is not None:
-        found = weighed(found, imaged.looked, seed=request.seed)
-    found = scattered(found, scatter)
-    gap = None if imaged is None else gap_map(imaged.voxels, found, simulator)
-    states = None
-    if members is not None:
-        states = read_states(
-            members, simulator, curves.values, detected.based, candidates, seed=request.seed, progress=progress
-        )
-    return Judged(found, simulator, shown, gap, states, shared)
+    found = scattered(weighed(found, imaged.looked, seed=request.seed), scatter)
+    return found, simulator, detected, gap_map(imaged.voxels, found, simulator)
 
 
 def _candidates(
@@ -237,25 +255,16 @@ def _laws_in_common(
     return laws_in_common(asked, seed=request.seed, always=ALWAYS, told=told)
 
 
-def _law_of_noise(
-    simulator: RegionalSimulator,
-    curves: RegionalCurves,
-    candidates: Sequence[Hypothesis],
-    request: DiagnoseRequest,
-    shared: SharedLaw | None = None,
-) -> tuple[Scatter | None, RegionalSimulator, Detected]:
-    """As `law_of_noise`, of what a request names and includes."""
+def _law(request: DiagnoseRequest, shared: SharedLaw | None) -> dict[str, Any]:
+    """What `law_of_noise` is asked beside curves, of what a request names and includes."""
     name = NOISE_VARIANCE.name
-    return law_of_noise(
-        simulator,
-        curves.values,
-        candidates,
-        seed=request.seed,
-        always=ALWAYS,
-        without=name in request.without,
-        included=name in request.include,
-        shared=shared,
-    )
+    return {
+        "always": ALWAYS,
+        "without": name in request.without,
+        "included": name in request.include,
+        "shared": shared,
+        "seed": request.seed,
+    }
 
 
 def _cohort(
@@ -281,9 +290,7 @@ def _cohort(
     return Diagnosed("group", text, out / relative)
 
 
-def foresee_study(
-    request: DiagnoseRequest, progress: Progress = _silent
-) -> tuple[tuple[str, tuple[Visible, ...]], ...]:
+def foresee_study(request: DiagnoseRequest, progress: Progress = silent) -> tuple[tuple[str, tuple[Visible, ...]], ...]:
     """For every scan, its label and what its frames, regions and blood could ever tell of each effect.
 
     Noise is that of the scan's own curves, and goes as all scans tell; no effect is judged from them.
@@ -298,7 +305,7 @@ def foresee_study(
     for i, ((source, curves, simulator), law) in enumerate(zip(scans, laws, strict=True)):
         progress(f"{source.label}: design", _LAWS + (1.0 - _LAWS) * i / len(scans))
         candidates = _candidates(simulator, request)
-        _, simulator, _ = _law_of_noise(simulator, curves, candidates, request, law)
+        _, simulator, _ = law_of_noise(simulator, curves.values, candidates, **_law(request, law))
         found.append((source.label, foresee_design(simulator, curves.values, candidates)))
     progress("done", 1.0)
     return tuple(found)

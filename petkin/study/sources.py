@@ -61,6 +61,13 @@ class Source:
         """Start of its file names."""
         return prefix(self.entities)
 
+    @property
+    def segmented(self) -> tuple[Series, Dseg] | None:
+        """Its image and the segmentation that its regional curves are means over; None where those are a table."""
+        if self.image is None or self.dseg is None or self.curves is not None:
+            return None
+        return self.image, self.dseg
+
 
 def completed(source: Source, request: FitRequest) -> Source:
     """The source with what all have in common, once it holds what was asked for.
@@ -94,7 +101,7 @@ def completed(source: Source, request: FitRequest) -> Source:
 def _require_geometry(source: Source, request: FitRequest) -> None:
     if request.hypr is not None and source.image is None:
         raise InputError(f"{source.label}: --hypr denoises an image and there is none; leave it out.")
-    if request.pvc is not None and (source.image is None or source.dseg is None or source.curves is not None):
+    if request.pvc is not None and source.segmented is None:
         raise InputError(
             f"{source.label}: --pvc needs an image and a segmentation (--dseg) of it; a table of curves does not tell "
             "where its regions lie."

@@ -64,7 +64,7 @@ def verdict(scan: Scan, clean: Array, *, seed: int, draws: int) -> dict[str, obj
     started = time.process_time()
     simulator = simulator_of(scan)
     candidates = hypotheses(EFFECTS, simulator, without=frozenset())
-    found, simulator = diagnose_curves(simulator, scan.values, candidates, always=ALWAYS, seed=seed, draws=draws)
+    found, simulator, _ = diagnose_curves(simulator, scan.values, candidates, always=ALWAYS, seed=seed, draws=draws)
     seconds = time.process_time() - started
     leader = found.causes[0] if found.causes else None
     closed = None if leader is None else leader.closure

@@ -241,6 +241,33 @@ def test_dispersion_keeps_the_area() -> None:
     assert smeared.input.area(40.0) == pytest.approx(base.input.area(40.0) - lost, rel=1e-3)
 
 
+@pytest.mark.parametrize("washout", [0.02, 0.1])
+def test_a_record_loses_its_share_of_the_tissue_around_the_vessel(washout: float, one_tissue: ForwardModel) -> None:
+    """T' = 0.1 C - k T by quadrature; as long as no rate is given it lets go of 0.1 a minute."""
+    effect, plasma = effect_named("input_partial_volume"), feng_plasma(onset=0.5)
+    cleared = effect.inject(one_tissue, {"share": 0.3, "washout": washout}).input
+    for t in (1.0, 3.0, 9.0):
+        around = quad(
+            lambda s, t=t: 0.1 * math.exp(-washout * (t - s)) * float(plasma(column(s))),
+            0.5,
+            t,
+            epsabs=1e-10,
+            limit=400,
+        )[0]
+        expected = float(plasma(column(t))) - 0.3 * around
+        assert float(cleared.plasma(column(t))) == pytest.approx(expected, rel=1e-4)
+    assert effect.values({"share": 0.3})["washout"] == 0.1
+
+
+def test_frames_in_a_row_have_one_wrong_duration(one_tissue: ForwardModel) -> None:
+    effect, before = effect_named("frame_duration"), one_tissue.frame_values()
+    for frames, several in (({}, 1), ({"frames": 3.0}, 3)):
+        found = effect.inject(one_tissue, {"gain": 0.2, "frame": 4.0, **frames}).frame_values()
+        expected = before.clone()
+        expected[:, 4 : 4 + several] *= 1.2
+        torch.testing.assert_close(found, expected, rtol=1e-12, atol=0.0)
+
+
 def test_blood_volume_is_the_share_of_blood(one_tissue: ForwardModel) -> None:
     filled = effect_named("blood_volume").inject(one_tissue, {"vB": 0.08})
     blood = frame_means(one_tissue, lambda t: float(feng_plasma(onset=0.5)(column(t))))

@@ -15,7 +15,7 @@ Reference: Meng XL. Ann Stat 1994;22:1142-1160 (p-values averaged over what is n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +28,12 @@ from petkin.diagnosis import (
     Detected,
     Diagnosis,
     Hypothesis,
+    Progress,
     Strength,
     base_fit,
     detect,
     diagnose,
+    silent,
 )
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.study.diagnosis.regional import RegionalSimulator
@@ -48,31 +50,63 @@ _STRONG, _BEYOND = 5.0, 3.0
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """Curves and their possible causes, to be asked under one law of noise or another.
+
+    Args:
+        values: curves (R, K).
+        candidates: causes.
+        always: those that get a refit however they look.
+        seed, draws: of noise.
+        progress: told what is being done, and how far it is.
+    """
+
+    values: Array
+    candidates: Sequence[Hypothesis]
+    always: frozenset[str]
+    seed: int
+    draws: int = DRAWS
+    progress: Progress = silent
+
+    def detected(self, under: RegionalSimulator) -> Detected:
+        return detect(under, self.values, self.candidates, seed=self.seed, draws=self.draws)
+
+    def diagnosed(self, under: RegionalSimulator, detected: Detected) -> Diagnosis:
+        return diagnose(
+            under,
+            self.values,
+            self.candidates,
+            always=self.always,
+            seed=self.seed,
+            detected=detected,
+            progress=self.progress,
+        )
+
+
 def diagnose_curves(
     simulator: RegionalSimulator,
     values: Array,
     candidates: Sequence[Hypothesis],
     *,
     always: frozenset[str] = frozenset(),
+    without: bool = False,
+    included: bool = False,
+    shared: SharedLaw | None = None,
     seed: int = 0,
     draws: int = DRAWS,
-    shared: SharedLaw | None = None,
-) -> tuple[Diagnosis, RegionalSimulator]:
-    """What regional curves alone say under the law by which they scatter, and the simulator under that law.
+    progress: Progress = silent,
+) -> tuple[Diagnosis, RegionalSimulator, Detected]:
+    """What regional curves alone say under the law by which they scatter; the simulator under that law, and what claims
+    a gap there.
 
     Args:
-        simulator: how counts scatter.
-        values: curves (R, K).
-        candidates: causes.
-        always: those that get a refit however they look.
-        seed, draws: of noise.
-        shared: the law as other scans tell it too.
+        simulator, values, candidates, always, without, included, shared, seed, draws: as of `law_of_noise`.
+        progress: told what is being done, and how far it is.
     """
-    scatter, simulator, detected = law_of_noise(
-        simulator, values, candidates, seed=seed, draws=draws, always=always, shared=shared
-    )
-    found = diagnose(simulator, values, candidates, always=always, seed=seed, draws=draws, detected=detected)
-    return scattered(found, scatter), simulator
+    asked = _Asked(values, candidates, always, seed, draws, progress)
+    scatter, simulator, detected, found = _judged(asked, simulator, without, included, shared, strong_first=True)
+    return scattered(asked.diagnosed(simulator, detected) if found is None else found, scatter), simulator, detected
 
 
 def law_of_noise(
@@ -80,12 +114,12 @@ def law_of_noise(
     values: Array,
     candidates: Sequence[Hypothesis],
     *,
-    seed: int,
-    draws: int = DRAWS,
     always: frozenset[str] = frozenset(),
     without: bool = False,
     included: bool = False,
     shared: SharedLaw | None = None,
+    seed: int,
+    draws: int = DRAWS,
 ) -> tuple[Scatter | None, RegionalSimulator, Detected]:
     """What the scatter of regional curves says of its law, the simulator under the law that is taken, and whether that
     leaves a gap.
@@ -94,44 +128,61 @@ def law_of_noise(
         simulator: how counts scatter.
         values: curves (R, K).
         candidates: causes.
-        seed, draws: of noise, behind p-values.
         always: causes that get a refit however they look.
         without: a more even scatter has no name: it stays a gap, and nothing is told of it.
         included: it is no gap: the likeliest law is taken, and nothing is told of it.
         shared: what it is as other scans tell it too.
+        seed, draws: of noise, behind p-values.
     """
+    asked = _Asked(values, candidates, always, seed, draws)
+    return _judged(asked, simulator, without, included, shared, strong_first=False)[:3]
 
-    def looked(under: RegionalSimulator) -> Detected:
-        return detect(under, values, candidates, seed=seed, draws=draws)
 
+def _judged(
+    asked: _Asked,
+    simulator: RegionalSimulator,
+    without: bool,
+    included: bool,
+    shared: SharedLaw | None,
+    *,
+    strong_first: bool,
+) -> tuple[Scatter | None, RegionalSimulator, Detected, Diagnosis | None]:
+    """As `law_of_noise`, and the diagnosis where it was needed for that.
+
+    A gap that no law explains needs no other law's p-value: `strong_first` asks for the diagnosis before it, which
+    costs more unless it is wanted anyway.
+    """
+    values, seed = asked.values, asked.seed
     if shared is not None:
         if without and shared.flatter:
-            return None, simulator, looked(simulator)
+            return None, simulator, asked.detected(simulator), None
         named = shared.flatter and not included
         told = look_at_scatter(simulator, base_fit(simulator, values), seed=seed) if named else None
         other = replace(simulator, law=shared.law, law_errors=shared.errors)
-        return told, other, looked(other)
-    counted = looked(simulator)
+        return told, other, asked.detected(other), None
+    counted = asked.detected(simulator)
     found = look_at_scatter(simulator, counted.based, seed=seed)
     told = None if without or included else found
     if not included:
         if not counted.present or (without and found.claimed):
-            return told, simulator, counted
-        other = replace(simulator, law=found.law, law_errors=found.errors)
-        otherwise = looked(other)
-        denied = found.odds * otherwise.p_value + (1.0 - found.odds) * counted.p_value > CLAIM
-        if not denied and not found.otherwise:
-            return told, simulator, counted
-        likeliest = diagnose(simulator, values, candidates, always=always, seed=seed, detected=counted)
-        if denied and not _beyond_noise(simulator, likeliest):
-            return told, other, otherwise
+            return told, simulator, counted, None
+        likeliest = asked.diagnosed(simulator, counted) if strong_first else None
+        if likeliest is None or not _beyond_noise(simulator, likeliest):
+            other = replace(simulator, law=found.law, law_errors=found.errors)
+            otherwise = asked.detected(other)
+            denied = found.odds * otherwise.p_value + (1.0 - found.odds) * counted.p_value > CLAIM
+            if not denied and not found.otherwise:
+                return told, simulator, counted, likeliest
+            likeliest = asked.diagnosed(simulator, counted) if likeliest is None else likeliest
+            if denied and not _beyond_noise(simulator, likeliest):
+                return told, other, otherwise, None
         if found.otherwise:
             found = _beside_leader(simulator, values, counted, likeliest, found, seed=seed)
             told = None if without else found
         if not found.otherwise or (without and found.claimed):
-            return told, simulator, counted
+            return told, simulator, counted, likeliest
     other = replace(simulator, law=found.law)
-    return told, other, looked(other)
+    return told, other, asked.detected(other), None
 
 
 def laws_in_common(

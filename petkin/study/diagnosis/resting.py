@@ -23,18 +23,18 @@ from petkin.study.sources import Source
 _ROUNDS = 3
 
 
-def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit, gone: Gone | None = None) -> Picture | None:
-    """The image behind a scan's regional curves; None where those are all there is.
+def picture_of(source: Source, simulator: RegionalSimulator, fit: Fit, gone: Gone | None = None) -> Picture:
+    """The image behind a scan's regional curves.
 
     Args:
-        source: the scan.
+        source: the scan, segmented.
         simulator: what predicts the means over the regions of its segmentation.
         fit: of the simulator to them.
         gone: a way that is undone first, where the picture is wanted as it would be at rest.
     """
-    if source.image is None or source.dseg is None or source.curves is not None:
-        return None
-    return read_picture(source.image, read_regions(source.dseg, source.image), simulator, fit, gone)
+    assert source.segmented is not None
+    image, dseg = source.segmented
+    return read_picture(image, read_regions(dseg, image), simulator, fit, gone)
 
 
 def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Voxels | None:
@@ -51,10 +51,7 @@ def at_rest(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Vox
         found = registered(recorded, drawn_of(still), simulator.clock)
         if found is None or found.is_that(gone):
             break
-        picture = picture_of(source, alone, still.fit, found)
-        if picture is None:
-            break
-        gone = found
+        picture, gone = picture_of(source, alone, still.fit, found), found
         fit, *_ = base_fit(alone, Voxels.of(picture, alone, still.fit).means)
         still = Voxels.of(picture, alone, fit)
         recorded = Voxels.of(_recorded(picture, voxels.picture), alone, fit)

@@ -15,7 +15,7 @@ from petkin.diagnosis import base_fit, detect, diagnose
 from petkin.effects import EFFECTS
 from petkin.study.diagnose import diagnose_study
 from petkin.study.diagnosis.hypotheses import hypotheses
-from petkin.study.diagnosis.judging import law_of_noise, scattered
+from petkin.study.diagnosis.judging import diagnose_curves, law_of_noise, scattered
 from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts
 from petkin.study.diagnosis.preparing import prepared, sources_of
 from petkin.study.diagnosis.report import _law_of_noise
@@ -158,6 +158,25 @@ def test_a_law_that_is_not_sure_hides_no_gap(tmp_path: Path) -> None:
     assert len(told.errors) == 3
     assert detected.present
     assert not len(other.law_errors)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01, 0.02, 0.2])
+def test_what_is_asked_first_changes_no_answer(tmp_path: Path, size: float) -> None:
+    """The law of the noise and then the cause, or the cause of what no law explains at once: noise that goes with the
+    value, and steps of the gain from none to strong."""
+    request = request_of(tmp_path)
+    _, _, (source,) = sources_of(request)
+    curves, counts = prepared(source, request)
+    fit, *_ = base_fit(counts, curves.values)
+    noise = 0.01 * fit.values * np.random.default_rng(3).standard_normal(fit.values.shape)
+    values = fit.values * np.where(counts.times > 40.0, 1.0 + size, 1.0) + noise
+    candidates = hypotheses(EFFECTS, counts, without=frozenset())
+    told, under, detected = law_of_noise(counts, values, candidates, seed=0)
+    one = scattered(diagnose(under, values, candidates, detected=detected), told)
+    two, other, again = diagnose_curves(counts, values, candidates)
+    assert (other.law, again.p_value) == (under.law, detected.p_value)
+    assert (two.present, two.chosen, two.p_value, two.unknown) == (one.present, one.chosen, one.p_value, one.unknown)
+    assert [(c.label, c.probability) for c in two.likely] == [(c.label, c.probability) for c in one.likely]
 
 
 @pytest.mark.parametrize("seed", [0, 4])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,9 @@ from petkin.dynamics import Parameter, ParameterSet
 from petkin.effects.effect import Change, Effect
 from petkin.effects.forward_model import ForwardModel
 from petkin.imaging import FrameObservation, FrameSchedule
-from petkin.inputs import InputFunction
 from petkin.units import SECONDS_PER_MINUTE
 
 Array = NDArray[np.float64]
-
-#: Frames whose lengths differ by less than this share are of one length; so many in a row are a few.
-_SAME, _FEW = 0.01, (2, 3)
 
 
 def _times(clock: FrameObservation, factor: Array | float) -> FrameObservation:
@@ -43,19 +38,8 @@ def _shifted(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
 
 def _misjudged(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     factor = np.ones(len(model.clock.frames))
-    first = int(min(max(values["frame"], 0), len(factor) - 1))
-    factor[first : first + max(int(values["frames"]), 1)] += values["gain"]
+    factor[int(min(max(values["frame"], 0), len(factor) - 1))] += values["gain"]
     return replace(model, clock=_times(model.clock, factor))
-
-
-def _in_a_row(_: InputFunction, clock: FrameObservation) -> tuple[dict[str, float], ...]:
-    """A few frames in a row, or all of one length, which a protocol names once; to either end it would be a step of the
-    gain."""
-    lengths = clock.frames.duration
-    edges = np.flatnonzero(abs(np.diff(lengths)) > _SAME * lengths[1:]) + 1
-    runs = {(int(first), int(last - first)) for first, last in pairwise(edges) if last - first > 1}
-    runs |= {(first, count) for count in _FEW for first in range(1, len(lengths) - count)}
-    return tuple({"frame": float(first), "frames": float(count)} for first, count in sorted(runs))
 
 
 def _sampled(model: ForwardModel, _: Mapping[str, Any]) -> ForwardModel:
@@ -98,14 +82,12 @@ FRAME_DURATION = Effect(
         (
             Parameter("gain", "1", 0.1, -0.5, 0.5, meaning="relative excess of the frame's value"),
             Parameter("frame", "1", 10.0, 0.0, 999.0, meaning="number of the frame, from 0"),
-            Parameter("frames", "1", 1.0, 1.0, 999.0, meaning="how many in a row, from it on"),
         )
     ),
-    meaning="a frame, or several in a row, was divided by a wrong duration: its values are too large (> 0)",
+    meaning="one frame was divided by a wrong duration: its values are too large (> 0) or too small in all regions",
     source="header slips; any size",
     change=_misjudged,
     split_by="the list-mode record of the frame",
-    besides=_in_a_row,
 )
 MID_FRAME_SAMPLING = Effect(
     name="mid_frame_sampling",

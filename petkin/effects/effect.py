@@ -12,7 +12,6 @@ import numpy as np
 from petkin.dynamics import Parameter, ParameterSet
 from petkin.effects.forward_model import STAGES, ForwardModel
 from petkin.errors import InputError
-from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction
 
 Change = Callable[[ForwardModel, Mapping[str, Any]], ForwardModel]
@@ -25,7 +24,7 @@ def _always(_: ForwardModel) -> bool:
     return True
 
 
-def _none(_: InputFunction, __: FrameObservation) -> tuple[Mapping[str, float], ...]:
+def _none(_: InputFunction) -> tuple[Mapping[str, float], ...]:
     return ()
 
 
@@ -47,7 +46,7 @@ class Effect:
         folded: whether amplitudes of either sign do much the same.
         grid: values at which a diagnosis starts, by symbol, of parameters other than the amplitude; those that are not
             named here and not "onset", "frame" or "region" stay at their start.
-        besides: more such starts that blood or frames of a kind have, each with all values that it needs.
+        besides: more such starts that blood of a kind has, each with all values that it needs.
         suits: whether a forward model can have it.
         trust: part of the range that is likely where the files say that what it concerns was measured with care.
         least: what no amplitude of a diagnosis lies below, where that is known; else a fit may go beyond the range.
@@ -66,7 +65,7 @@ class Effect:
     flag: bool = False
     folded: bool = False
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    besides: Callable[[InputFunction, FrameObservation], tuple[Mapping[str, float], ...]] = _none
+    besides: Callable[[InputFunction], tuple[Mapping[str, float], ...]] = _none
     suits: Callable[[ForwardModel], bool] = _always
     trust: float = 1.0
     least: float = -math.inf

@@ -14,7 +14,6 @@ from petkin.dynamics.arrays import alike, library
 from petkin.effects.effect import Effect
 from petkin.effects.forward_model import ForwardModel
 from petkin.errors import InputError
-from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction, dispersed
 from petkin.inputs.linearise import piecewise_linear
 from petkin.units import SECONDS_PER_MINUTE
@@ -172,7 +171,7 @@ def _share_and_odds(fraction: Any) -> tuple[Any, Any]:
     return share, (1.0 - share) / share
 
 
-def _with_metabolites(blood: InputFunction, _: FrameObservation) -> tuple[dict[str, float], ...]:
+def _with_metabolites(blood: InputFunction) -> tuple[dict[str, float], ...]:
     """Courses that go as the recorded metabolites do, where there are any."""
     fraction = blood.parent_fraction
     if fraction is None or float(fraction(fraction.knots).min()) > _NEXT_TO_ALL:

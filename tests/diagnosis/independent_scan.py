@@ -198,9 +198,6 @@ def _scanner(x: Array, effects: dict[str, dict[str, float]]) -> Array:
         elif name == "frame_duration":
             x = x.copy()
             x[:, int(e["frame"])] *= 1 + size
-        elif name == "frames_in_a_row":
-            x = x.copy()
-            x[:, int(e["frame"]) : int(e["frame"] + e["frames"])] *= 1 + size
         elif name == "partial_volume":
             x = x + size * (others - x) * (chosen if "region" in e else 1.0)
         elif name == "chirp":  # in no catalogue

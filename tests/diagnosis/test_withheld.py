@@ -40,9 +40,8 @@ SINGLES = {
     "randoms_offset": {"size": 0.03},
     "interrupted_record": {"size": 0.01, "onset": 30.0},
     "motion_between": {"size": 0.1, "onset": 36.0},
-    "frames_in_a_row": {"size": 0.1, "frame": 22.0, "frames": 3.0},
 }
-NAMED = tuple(name for name in SINGLES if name not in ("interrupted_record", "motion_between", "frames_in_a_row"))
+NAMED = tuple(name for name in SINGLES if name not in ("interrupted_record", "motion_between"))
 FLAGS = ("mean_life_swap", "decay_applied_twice", "decay_not_applied")
 
 
@@ -148,26 +147,6 @@ def test_what_lies_beside_is_the_mean_of_others_or_one_of_them() -> None:
     two = hypothesis_of(effect_named("motion_step"), replace(simulator, channels=scan.REGIONS[:2]))
     assert {each["beside"] for each in two.settings} == {0.0}
     assert two.told == ()
-
-
-def test_wrong_frames_are_alone_or_as_likely_several_in_a_row() -> None:
-    """A few anywhere but at either end, where they are a step, and all of one length between others."""
-    found = hypothesis_of(effect_named("frame_duration"), simulator_of(scan.draw(np.random.default_rng(0))))
-    blocks = [(int(each["frame"]), int(each.get("frames", 1.0))) for each in found.settings]
-    alone = np.array([count == 1 for _, count in blocks])
-    assert [first for first, count in blocks if count == 1] == [*range(36)]
-    assert {block for block in blocks if block[1] > 3} == {(6, 6), (12, 6), (18, 4)}
-    assert {first for first, count in blocks if count == 3} == {*range(1, 33)}
-    assert (np.exp(found.told) / len(blocks))[alone].sum() == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("seed", [80, 81, 82])
-def test_frames_in_a_row_that_are_wrong_are_one_cause(seed: int) -> None:
-    """Two or three between others: no frame alone, and no step, is like it."""
-    found = case(seed, "frames_in_a_row", 12.0, seed % 4).answer
-    assert found.causes[0].label == "frame_duration"
-    shown = {e.symbol: e.value for e in found.causes[0].estimates}
-    assert (found.frame, shown["frames"]) == (22, 3.0)
 
 
 @pytest.mark.parametrize("seed", [90, 94, 95])

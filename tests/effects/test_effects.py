@@ -259,15 +259,6 @@ def test_a_record_loses_its_share_of_the_tissue_around_the_vessel(washout: float
     assert effect.values({"share": 0.3})["washout"] == 0.1
 
 
-def test_frames_in_a_row_have_one_wrong_duration(one_tissue: ForwardModel) -> None:
-    effect, before = effect_named("frame_duration"), one_tissue.frame_values()
-    for frames, several in (({}, 1), ({"frames": 3.0}, 3)):
-        found = effect.inject(one_tissue, {"gain": 0.2, "frame": 4.0, **frames}).frame_values()
-        expected = before.clone()
-        expected[:, 4 : 4 + several] *= 1.2
-        torch.testing.assert_close(found, expected, rtol=1e-12, atol=0.0)
-
-
 def test_blood_volume_is_the_share_of_blood(one_tissue: ForwardModel) -> None:
     filled = effect_named("blood_volume").inject(one_tissue, {"vB": 0.08})
     blood = frame_means(one_tissue, lambda t: float(feng_plasma(onset=0.5)(column(t))))

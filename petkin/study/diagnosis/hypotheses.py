@@ -48,7 +48,7 @@ def hypothesis_of(effect: Effect, simulator: RegionalSimulator) -> Hypothesis:
     ]
     if "onset" in effect.parameters.symbols:
         shapes.append(Shape("onset", first, last, sd=np.inf, kinked=True))
-    settings = (*_settings(effect, simulator), *effect.besides(simulator.input, simulator.clock))
+    settings = (*_settings(effect, simulator), *effect.besides(simulator.input))
     return replace(
         unset(effect),
         settings=settings,
@@ -89,8 +89,7 @@ def _neighbours(regions: int) -> list[float]:
 
 
 def _told(settings: Sequence[Mapping[str, float]]) -> tuple[float, ...]:
-    """How much likelier each is than an average one: what lies beside is the others' mean, or as likely one region; a
-    wrong frame is alone, or as likely one of several in a row."""
-    rare = np.array([setting.get("beside", 0.0) > 0 or setting.get("frames", 1.0) > 1 for setting in settings])
-    share = np.where(rare, rare.mean(), 1.0 - rare.mean())
-    return tuple(-np.log(2.0 * share)) if rare.any() else ()
+    """How much likelier each is than an average one: what lies beside is the others' mean, or as likely one region."""
+    one = np.array([setting.get("beside", 0.0) > 0 for setting in settings])
+    share = np.where(one, one.mean(), 1.0 - one.mean())
+    return tuple(-np.log(2.0 * share)) if one.any() else ()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -49,18 +47,9 @@ def test_what_these_walls_trap_returns(shared_data: Path) -> None:
 
 
 def test_a_missing_compartment_is_named_in_all_scans_but_one(shared_data: Path) -> None:
-    """9 of 12 where trapping's return could not leave its limit, and where a law was told beside another fit.
-
-    In a process of its own, without the checks of shapes that make it six times as long.
-    """
-    asked = (
-        "import sys; from pathlib import Path; from petkin_bench.real_scans import measure_real\n"
-        "found = measure_real(Path(sys.argv[1]), only=('second_tissue',), blood='fitted')\n"
-        "print(sum(bool(row['first']) for rows in found for row in rows if row['scan'] != 'group'))"
-    )
-    command = [sys.executable, "-c", asked, str(shared_data / "pbr28")]
-    said = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert int(said.stdout) >= 11
+    """9 of 12 where trapping's return could not leave its limit, and where a law was told beside another fit."""
+    rows = measured(shared_data / "pbr28", only=("second_tissue",), blood="fitted")
+    assert sum(bool(row["first"]) for row in rows if row["scan"] != "group") >= 11
 
 
 def test_a_simulator_that_traps_nothing_has_nothing_to_return(shared_data: Path) -> None:

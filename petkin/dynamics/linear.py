@@ -27,13 +27,13 @@ from petkin.errors import InputError
 
 
 def solve_linear(
-    matrix: Float[Tensor, "*b d d"],
-    drive: Float[Tensor, "*b d"],
+    matrix: Float[Tensor, "*#b d d"],
+    drive: Float[Tensor, "*#b d"],
     forcing: Forcing,
     times: Float[Tensor, " times"],
     *,
-    initial: Float[Tensor, "*b d"] | None = None,
-) -> Float[Tensor, "*b times d"]:
+    initial: Float[Tensor, "*#b d"] | None = None,
+) -> Float[Tensor, "*#b times d"]:
     """x(t) of dx/dt = A x + b u(t), x(0) = initial, exactly.
 
     Args:
@@ -56,14 +56,14 @@ def solve_linear(
 
 
 def integrate_linear(
-    matrix: Float[Tensor, "*b d d"],
-    drive: Float[Tensor, "*b d"],
+    matrix: Float[Tensor, "*#b d d"],
+    drive: Float[Tensor, "*#b d"],
     forcing: Forcing,
     times: Float[Tensor, " times"],
     *,
-    initial: Float[Tensor, "*b d"] | None = None,
+    initial: Float[Tensor, "*#b d"] | None = None,
     decay: float = 0.0,
-) -> Float[Tensor, "*b times d"]:
+) -> Float[Tensor, "*#b times d"]:
     """int_start^t e^{-decay s} x(s) ds of the solution of `solve_linear`, exactly.
 
     Args:
@@ -98,9 +98,9 @@ def integrate_linear(
 class _March:
     """State and input at every node, the input as it leaves the node (at the last one it is not used)."""
 
-    generator: Float[Tensor, "*b n n"]
+    generator: Float[Tensor, "*#b n n"]
     nodes: Float[Tensor, " nodes"]
-    states: Float[Tensor, "*b nodes n"]
+    states: Float[Tensor, "*#b nodes n"]
     order: Tensor
 
     @property
@@ -112,9 +112,9 @@ class _March:
 class _Tail:
     """The input as a linear system of its own: W, r, and w at the start of every piece."""
 
-    generator: Float[Tensor, "*b m m"]
-    readout: Float[Tensor, "*b m"]
-    starts: Float[Tensor, "*b pieces m"]
+    generator: Float[Tensor, "*#b m m"]
+    readout: Float[Tensor, "*#b m"]
+    starts: Float[Tensor, "*#b pieces m"]
 
 
 def _march(matrix: Tensor, drive: Tensor, forcing: Forcing, times: Tensor, initial: Tensor | None) -> _March:
@@ -202,7 +202,7 @@ def _exponentials(forcing: ExponentialSum, since: Float[Tensor, "*b nodes"]) -> 
     return _Tail(_block_diagonal(blocks), torch.cat(reads, dim=-1), torch.cat(starts, dim=-1))
 
 
-def _block_diagonal(blocks: list[Float[Tensor, "*b n n"]]) -> Float[Tensor, "*b m m"]:
+def _block_diagonal(blocks: list[Float[Tensor, "*b _ _"]]) -> Float[Tensor, "*b m m"]:
     size, first, rows = sum(block.shape[-1] for block in blocks), 0, []
     for block in blocks:
         last = first + block.shape[-1]

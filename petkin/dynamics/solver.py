@@ -89,8 +89,8 @@ def solve(
     times: Float[Tensor, " times"],
     *,
     method: FixedStep | Adaptive = Adaptive(),
-    parameters: Float[Tensor, "*b p"] | None = None,
-    initial: Float[Tensor, "*b d"] | None = None,
+    parameters: Float[Tensor, "*#b p"] | None = None,
+    initial: Float[Tensor, "*#b d"] | None = None,
     forcing: Forcing | None = None,
     start: float | None = None,
 ) -> Trajectory:

@@ -31,9 +31,9 @@ class Encoded:
         code: c_n (*b, q); q = 0 where f_NN is one for all.
     """
 
-    initial: Float[Tensor, "*b d"]
-    physics: Float[Tensor, "*b p"]
-    code: Float[Tensor, "*b q"]
+    initial: Float[Tensor, "*#b d"]
+    physics: Float[Tensor, "*#b p"]
+    code: Float[Tensor, "*#b q"]
 
 
 class HyperNetwork(nn.Module):
@@ -109,8 +109,8 @@ class Identifier(nn.Module):
         self.task = self.task.to(device)
         return self.to(device)
 
-    def encode(self, series: Float[Tensor, "*b T ..."], *, batch: int = 2) -> Encoded:
-        """What the encoders say of observed series; `batch` leading axes count them."""
+    def encode(self, series: Float[Tensor, "*series"], *, batch: int = 2) -> Encoded:
+        """What the encoders say of observed series (*b, T, ...); `batch` leading axes count them."""
         shape, flat = series.shape[:batch], series.flatten(0, batch - 1)
         features = self.context(flat)
         initial = self._initial(flat)

@@ -40,7 +40,7 @@ class Spread:
 
     physics: Float[Tensor, "*b p"]
     states: Float[Tensor, "*b T d"]
-    residual: Float[Tensor, "*b ..."]
+    residual: Float[Tensor, "... r"]
 
 
 class ErrorBars(nn.Module):

@@ -78,7 +78,7 @@ class CountingNoise:
         flat = 0.01 * self.percent * math.sqrt(self.reference)
         return flat * np.sqrt(counts[reference_frame(observation)] / counts) ** (1.0 - self.flatness)
 
-    def of_values(self, values: Float[NDArray, ...]) -> Float[NDArray, ...]:
+    def of_values(self, values: Float[NDArray, "*b"]) -> Float[NDArray, "*b"]:
         """The value's factor of the sd, sqrt(max(x, floor)), (kBq/mL)^(1/2)."""
         counted = np.sqrt(np.maximum(values, self.floor_share * self.reference))
         return counted ** (1.0 - self.flatness) * math.sqrt(self.reference) ** self.flatness

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from petkin.hybrid import HybridField
@@ -38,7 +38,7 @@ def tissue_and_residual(
 
 def volume(
     prior: TissuePrior, u: Float[Tensor, "n v"], plasma: Float[Tensor, " n"]
-) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
+) -> tuple[Float[Tensor, " n"], Bool[Tensor, " n"]]:
     """C_T / C_P after hours of constant plasma, and whether it is at rest: within a percent over the last fifth."""
     field, physics = prior.field(u), prior.physics(u)
     assert isinstance(field, HybridField)

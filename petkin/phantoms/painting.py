@@ -111,7 +111,7 @@ def _points(shape: tuple[int, ...], size: tuple[float, ...], offset: tuple[float
     return list(np.meshgrid(*axes, indexing="ij", sparse=True))
 
 
-def _labels_at(phantom: Phantom, points: list[NDArray[np.floating]]) -> Int[NDArray, ...]:
+def _labels_at(phantom: Phantom, points: list[NDArray[np.floating]]) -> Int[NDArray, "*b"]:
     if phantom.coordinates == "canvas":
         points = [2.0 * p / extent for p, extent in zip(points, phantom.field_of_view)]
     labels = np.zeros(np.broadcast_shapes(*(p.shape for p in points)), int)
@@ -121,7 +121,7 @@ def _labels_at(phantom: Phantom, points: list[NDArray[np.floating]]) -> Int[NDAr
     return labels
 
 
-def _inside(shape: Shape, points: list[NDArray[np.floating]]) -> Bool[NDArray, ...]:
+def _inside(shape: Shape, points: list[NDArray[np.floating]]) -> Bool[NDArray, "*b"]:
     turn = _rotation(shape.angles, len(points))
     moved = [p - c for p, c in zip(points, shape.centre)]
     scaled = [sum(turn[i, j] * moved[i] for i in range(len(moved))) / r for j, r in enumerate(shape.radii)]

@@ -22,6 +22,17 @@ def test_a_study_is_simulated(tmp_path: Path) -> None:
 
 
 def test_a_study_is_fitted(study: Path, tmp_path: Path) -> None:
-    models = [part for name in ("1TCM", "Logan") for part in ("--model", name)]
-    options = ["--delay", 0, "--hypr", 5, "--pvc", "gtm", "--psf", 5]
-    done("fit", study, *models, *options, "--t-star", 10, "--out", tmp_path / "fitted")
+    done(
+        "fit",
+        study,
+        "--model",
+        "Logan",
+        "--delay",
+        0,
+        "--level",
+        "region",
+        "--t-star",
+        10,
+        "--out",
+        tmp_path / "fitted",
+    )

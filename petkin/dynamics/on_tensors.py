@@ -28,7 +28,7 @@ def divided_difference(points: tuple[Tensor | float, ...], t: Tensor) -> Tensor:
     return _recurse(ordered, t, 0, len(tensors) - 1)
 
 
-def recurrence(factors: Float[Tensor, "*b n"], values: Float[Tensor, "*b n"]) -> Float[Tensor, "*b m"]:
+def recurrence(factors: Float[Tensor, "*#b n"], values: Float[Tensor, "*#b n"]) -> Float[Tensor, "*#b m"]:
     """All n + 1 states of y_{i+1} = f_i y_i + v_i; see `recurrence.linear_recurrence`."""
     factors, values = torch.broadcast_tensors(factors, values)
     if values.device.type == "cpu" and values.dtype == torch.float64:

@@ -13,7 +13,7 @@ from petkin.study.diagnosis.sidecar import Blunder
 _UNNAMED = {
     DRIVE: "; it looks as if the plasma input departed from its record (see --read-blood)",
     ONE: "; it is likeliest in one region alone",
-    WITHIN: "; it differs within regions, as a gain of the image would that varies smoothly, in rings or by planes",
+    WITHIN: "; it differs within regions, as a gain of the image would that varies smoothly or from plane to plane",
 }
 #: How a picture moves, by the number of the way.
 _WAYS = (

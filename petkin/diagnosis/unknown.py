@@ -6,8 +6,8 @@
 a Gaussian process with a cosine basis, along the profiles g that the simulator names, such as its own values; common to
 all channels, in each for itself, both, or in one of them; or in what drives them, u(t) (1 + sum_j w_j phi_j(x) a_j),
 as far as they show it. It may also swing: then only three cosines that follow on each other are there, in all channels
-alike or in each. Only what the projection leaves of it counts, so that it can never take what the simulator's own
-parameters, or a named effect's, explain.
+alike, at any pace (`Swing`), or in each. Only what the projection leaves of it counts, so that it can never take what
+the simulator's own parameters, or a named effect's, explain.
 
 Reference: Plumlee M. Bayesian calibration of inexact computer models. J Am Stat Assoc 2017;112:1274-1285.
 doi:10.1080/01621459.2016.1211016
@@ -28,6 +28,7 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Profiles, Simulator
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
+from petkin.diagnosis.swing import Swing
 
 Array = NDArray[np.float64]
 
@@ -73,11 +74,13 @@ class Smooth:
         columns: P G of every time scale (n, m).
         kinds: by time scale and kind: which columns may be there at once (g, k), and their spread, profiles by
             profiles; any of the g is as likely.
+        swing: at any pace, in all channels alike; None where samples are too few.
     """
 
     columns: tuple[Array, ...]
     kinds: tuple[dict[str, list[tuple[NDArray[np.intp], evidence.Spread]]], ...]
     noise: Noise
+    swing: Swing | None
 
     @classmethod
     def around(
@@ -115,7 +118,8 @@ class Smooth:
                     for kind, each in groups.items()
                 }
             )
-        return cls(tuple(found), tuple(kinds), noise)
+        together = [each for several in profiles for each in several.together]
+        return cls(tuple(found), tuple(kinds), noise, Swing.around(together, times, noise, projection))
 
     def evidence(self, residuals: Array) -> Array:
         """log evidence of a discrepancy for what a refit left of whitened data (..., n)."""
@@ -135,6 +139,8 @@ class Smooth:
                 found.append((kind, evidence.mean(logs)))
         if len(self.noise.size) >= pattern.FEWEST:
             found.append((PATTERN, pattern.log_evidence(pattern.apart(residuals, self.noise))))
+        if self.swing is not None:
+            found.append((_SWINGS[ALL], self.swing.log_evidence(residuals)))
         return found
 
 

@@ -34,6 +34,24 @@ VOXEL, ONSET_MIN, NOISE = 4.0, 30.0, 0.10
 INCLUDES = ("blood_volume", "arterial_delay")
 
 
+def planes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    middle = (y.max() + 1) // 2
+    return ((y >= middle - 1) & (y < middle + 4)).astype(float)
+
+
+def rings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """24 mm from one to the next, about the middle of the grid."""
+    return np.cos(2.0 * np.pi * np.hypot(x - 0.5 * x.max(), y - 0.5 * y.max()) * VOXEL / 24.0)
+
+
+def fan(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A diagonal, 16 mm from the middle and 8 mm wide."""
+    return np.exp(-0.5 * (((y - 0.5 * y.max() - x + 0.5 * x.max()) * VOXEL / 2**0.5 - 16.0) / 8.0) ** 2)
+
+
+SHOWN = {"planes": planes, "rings": rings, "fan": fan}
+
+
 def noise_free(folder: Path) -> tuple[Path, Path]:
     usual = {"out": folder / "study", "noise": 0.0, "voxel_size": VOXEL, "tracer": "reversible"}
     study = simulate(SimulationSettings.model_validate(usual))
@@ -46,10 +64,11 @@ def spoilt(
     fwhm: float = 0.0,
     moved_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     failing: float = 0.0,
+    seen_by: str = "planes",
     seed: int = 3,
 ) -> Path:
-    """A study whose head is blurred, and moves once at 30 min, or where planes of detectors lose a share of the counts
-    about then; with noise of counts."""
+    """A study whose head is blurred, and moves once at 30 min, or where detectors lose a share of the counts about
+    then, which their planes, rings or a fan of theirs show; with noise of counts."""
     study, path = noise_free(folder)
     image = nib.load(path)
     values = np.asarray(image.dataobj, np.float64)
@@ -57,13 +76,13 @@ def spoilt(
     start, duration = np.array(sidecar["FrameTimesStart"]), np.array(sidecar["FrameDuration"])
     rng = np.random.default_rng(seed)
     size = NOISE * np.sqrt(values.mean(axis=3).max() * 300.0 / duration)
+    shown = SHOWN[seen_by](*np.meshgrid(*(np.arange(edge) for edge in values.shape[:2]), indexing="ij"))[..., None]
     for k, frame in enumerate(np.moveaxis(values, -1, 0)):
         seen = gaussian_filter(frame, fwhm / 2.3548 / VOXEL) if fwhm else frame.copy()
         if start[k] >= 60 * ONSET_MIN - 1:
             seen = shift(seen, np.array(moved_mm) / VOXEL, order=1)
         middle = (start[k] + 0.5 * duration[k]) / 60.0
-        planes = slice(seen.shape[1] // 2 - 1, seen.shape[1] // 2 + 4)
-        seen[:, planes] *= 1.0 - failing * np.exp(-0.5 * ((middle - ONSET_MIN) / 8.0) ** 2)
+        seen *= 1.0 - failing * shown * np.exp(-0.5 * ((middle - ONSET_MIN) / 8.0) ** 2)
         values[..., k] = seen + size[k] * np.sqrt(np.maximum(seen, 0.02 * seen.max())) * rng.standard_normal(seen.shape)
     nib.save(nib.Nifti1Image(values.astype(np.float32), image.affine), path)
     return study
@@ -203,6 +222,14 @@ def test_failing_planes_are_a_gap_of_no_name_within_regions(tmp_path: Path, with
     assert answer["verdict"]["kind"] == "unknown"
     assert "within regions" in answer["verdict"]["sentence"]
     assert answer["where"]["state"][0]["evidence"] > 10.0
+
+
+@pytest.mark.parametrize(("seen_by", "failing"), [("rings", 0.06), ("fan", 0.10)])
+def test_what_detectors_in_a_ring_lose_is_a_gap_of_no_name(tmp_path: Path, seen_by: str, failing: float) -> None:
+    """Such gains are too fine for fields along the axes of the grid."""
+    answer = diagnosed(spoilt(tmp_path, failing=failing, seen_by=seen_by), tmp_path / "out").answer
+    assert answer["verdict"]["kind"] == "unknown"
+    assert "within regions" in answer["verdict"]["sentence"]
 
 
 def test_an_image_in_order_has_no_gap_and_a_map_of_noise(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Gains of no name: smooth fields over the head, and planes that alternate, each with any smooth course in time.
+"""Gains of no name: smooth fields over the head, planes that alternate, and rings, each with any smooth course in time.
 
     x_v(k) -> x_v(k) (1 + sum_b b_v g_b(k)),   b_v = cos(pi i u_1) cos(pi j u_2) cos(pi l u_3) or (-1)^(plane of v)
 
@@ -6,6 +6,9 @@ u is the place in the box around the labels, from 0 to 1. A part of the head, as
 window along one axis:
 
     b_v = (1 + cos(pi (u_i - c) / h)) / 2 within h of c, else 0
+
+Waves and windows lie along the axes of the grid, along the diagonals of its planes and about its middle, as detectors
+stand in rings about the third axis.
 
 The weights of contrasts are the waves times the image as it is seen, centred within every region, and turned there so
 that they share no noise; they look beside the picture as it is drawn.
@@ -15,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,17 +98,38 @@ def fields_of(voxels: Voxels) -> Iterator[Array]:
 def _fields(voxels: Voxels) -> Iterator[tuple[Array, Iterable[Array]]]:
     """Fields by family (F, N), and windows along its axis, each (N,)."""
     at = np.stack(np.nonzero(voxels.inside))
-    u = (at - at.min(axis=1, keepdims=True) + 0.5) / (np.ptp(at, axis=1)[:, None] + 1.0)
     axes = [axis for axis in range(len(at)) if np.ptp(at[axis]) > 0]
-    waves = np.cos(np.pi * np.arange(_ALONG + 1)[:, None, None] * u)
     for axis in axes:
-        along = [(1.0 + i) ** -_FADING * waves[i, axis] for i in range(1, _ALONG + 1)]
-        yield np.stack([*along, _PLANES * (-1.0) ** at[axis]]), _windows(u[axis])
+        u = _within(at[axis])
+        yield np.stack([*_waves(u), _PLANES * (-1.0) ** at[axis]]), _windows(u)
+    for u in map(_within, _in_the_ring(voxels, at)):
+        yield np.stack(_waves(u)), _windows(u)
+    waves = np.stack([np.cos(np.pi * i * _within(at)) for i in range(1 + max(most for _, most in _ACROSS))])
     for count, most in _ACROSS:
         for plane in combinations(axes, count):
             numbers = product(range(1, most + 1), repeat=count)
             fields = [(1.0 + sum(n)) ** -_FADING * waves[list(n), plane].prod(axis=0) for n in numbers]
             yield np.stack(fields), ()
+
+
+def _within(at: NDArray[Any]) -> Array:
+    """Places in voxels (..., N) as shares of the way from the first to the last."""
+    return (at - at.min(axis=-1, keepdims=True) + 0.5) / (np.ptp(at, axis=-1, keepdims=True) + 1.0)
+
+
+def _in_the_ring(voxels: Voxels, at: NDArray[np.intp]) -> list[Array]:
+    """Where a ring of detectors about the third axis of the grid sees voxels: how far from its axis, and along the two
+    ways halfway between the others, in voxels (N,)."""
+    edges = np.array(voxels.picture.size[:2])
+    middle = 0.5 * (np.array(voxels.inside.shape[:2]) - 1.0)
+    x, y = (at[:2].T - middle).T * (edges / edges.min())[:, None]
+    ways = [np.hypot(x, y), (x + y) / 2**0.5, (x - y) / 2**0.5]
+    return ways if np.ptp(x) > 0 and np.ptp(y) > 0 else []
+
+
+def _waves(u: Array) -> list[Array]:
+    """Half waves along an axis, each (N,)."""
+    return [(1.0 + i) ** -_FADING * np.cos(np.pi * i * u) for i in range(1, _ALONG + 1)]
 
 
 def _windows(u: Array) -> Iterator[Array]:

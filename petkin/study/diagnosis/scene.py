@@ -98,6 +98,18 @@ class Scene:
         pairs = combinations_with_replacement(slopes, 2)
         return [_slope(slopes[one], picture.size[other], other)[labelled] for one, other in pairs]
 
+    @cached_property
+    def thirds(self) -> list[Array]:
+        """Third derivatives along the axes, 1/mm^3: what is left of edges beside both."""
+        picture = self.voxels.picture
+        labelled, found = self.voxels.inside[picture.box], []
+        for axis in self.axes:
+            maps = picture.seen
+            for _ in range(3):
+                maps = _slope(maps, picture.size[axis], axis)
+            found.append(maps[labelled])
+        return found
+
     def tilt(self, axis: int) -> Array:
         """What a gain adds that grows along an axis, by one from the middle to the edge of the head."""
         place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)

@@ -1,8 +1,8 @@
 """What the spatial effects that a simulator includes may have added to an image: nuisance of its contrasts.
 
 Regions tell how large such an effect is along one way. What an image shows of it is left free: motion in every way of
-moving, with what large motion does beside its slope, and gains along every axis and in smooth waves over the head, each
-with the course of the effect, as large as its prior lets it be. A step may be early or late by a frame.
+moving, with what large motion does to edges beside their slope, and gains along every axis and in smooth waves over the
+head, each with the course of the effect, as large as its prior lets it be. A step may be early or late by a frame.
 """
 
 from __future__ import annotations
@@ -124,6 +124,7 @@ def _parts(effect: Effect, scene: Scene, simulator: RegionalSimulator) -> list[_
         found = [
             _Part(scene.motions.values, MOTION_MM * courses),
             _Part(lambda: scene.bends, 0.5 * MOTION_MM**2 * courses**2),
+            _Part(lambda: scene.thirds, MOTION_MM**3 / 6.0 * courses**3),
         ]
         drifting = drifts(simulator.clock.frames)
         if far:

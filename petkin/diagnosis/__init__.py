@@ -18,7 +18,7 @@ from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import ALIKE, smallest_set
 from petkin.diagnosis.state_map import StateMap, Witness, map_states
 from petkin.diagnosis.strength import Z90, Estimate, Strength
-from petkin.diagnosis.unknown import DRIVE, ONE, WITHIN, Elsewhere
+from petkin.diagnosis.unknown import DRIVE, ONE, SWINGING, WITHIN, Elsewhere
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import PART
 
@@ -30,6 +30,7 @@ __all__ = [
     "DRIVE",
     "ONE",
     "PART",
+    "SWINGING",
     "WITHIN",
     "Z90",
     "Base",

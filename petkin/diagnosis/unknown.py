@@ -35,7 +35,8 @@ Array = NDArray[np.float64]
 #: Where a discrepancy is: in all channels alike, in each for itself, both, in one alone; or in what drives them all.
 ALL, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
 #: The same of what swings: three cosines that follow on each other, anywhere among them.
-_SWINGS, _BAND = {ALL: "swings alike", EACH: "swings each"}, 3
+SWINGING = "swings alike"
+_SWINGS, _BAND = {ALL: SWINGING, EACH: "swings each"}, 3
 #: Or in some channels up while it is down in others, on any course.
 PATTERN = "pattern"
 #: Or in what channels are means of, where somebody looked beside them.
@@ -140,7 +141,7 @@ class Smooth:
         if len(self.noise.size) >= pattern.FEWEST:
             found.append((PATTERN, pattern.log_evidence(pattern.apart(residuals, self.noise))))
         if self.swing is not None:
-            found.append((_SWINGS[ALL], self.swing.log_evidence(residuals)))
+            found.append((SWINGING, self.swing.log_evidence(residuals)))
         return found
 
 

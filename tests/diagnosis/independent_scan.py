@@ -186,6 +186,8 @@ def _scanner(x: Array, effects: dict[str, dict[str, float]]) -> Array:
             x = x * (1 + size * later * chosen)
         elif name == "gain_step":
             x = x * (1 + size * later)
+        elif name == "alternating_gain":
+            x = x * (1 + size * (-1.0) ** np.arange(MID.size))
         elif name == "gain_drift":
             x = x * (1 + size * MID / EDGES[-1])
         elif name == "randoms_offset":

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from petkin.diagnosis import DRIVE, Diagnosis, Term, diagnose
+from petkin.diagnosis import DRIVE, SWINGING, Diagnosis, Term, diagnose
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.refit import State, refit
 from petkin.dynamics import PiecewiseLinear
@@ -40,8 +40,9 @@ SINGLES = {
     "randoms_offset": {"size": 0.03},
     "interrupted_record": {"size": 0.01, "onset": 30.0},
     "motion_between": {"size": 0.1, "onset": 36.0},
+    "alternating_gain": {"size": 0.02},
 }
-NAMED = tuple(name for name in SINGLES if name not in ("interrupted_record", "motion_between"))
+NAMED = tuple(name for name in SINGLES if name not in ("interrupted_record", "motion_between", "alternating_gain"))
 FLAGS = ("mean_life_swap", "decay_applied_twice", "decay_not_applied")
 
 
@@ -212,6 +213,14 @@ def test_an_input_that_departs_from_its_record_is_not_taken_for_kinetics(seed: i
     found = case(seed, "interrupted_record", 12.0, seed % 4).answer
     assert (found.kind, found.unknown_place) == ("unknown", DRIVE)
     assert "plasma input" in sentence(found)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_gain_that_swings_from_frame_to_frame_is_not_taken_for_noise(seed: int) -> None:
+    """Larger and smaller by turns: a few percent that all regions of a frame share, which only the rhythm betrays."""
+    found = case(80 + seed, "alternating_gain", 12.0, seed).answer
+    assert (found.kind, found.unknown_place) == ("unknown", SWINGING)
+    assert "swings in all regions alike" in sentence(found)
 
 
 def test_what_is_kept_of_predictions_changes_none() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from petkin.diagnosis import CLAIM, DRIVE, ONE, WITHIN, Cause, Diagnosis, Estimate
+from petkin.diagnosis import CLAIM, DRIVE, ONE, SWINGING, WITHIN, Cause, Diagnosis, Estimate
 from petkin.effects.noise import NOISE_VARIANCE
 from petkin.imaging import PLANES
 from petkin.study.diagnosis.sidecar import Blunder
@@ -13,7 +13,8 @@ from petkin.study.diagnosis.sidecar import Blunder
 _UNNAMED = {
     DRIVE: "; it looks as if the plasma input departed from its record (see --read-blood)",
     ONE: "; it is likeliest in one region alone",
-    WITHIN: "; it differs within regions, as a gain of the image would that varies smoothly or from plane to plane",
+    SWINGING: "; it swings in all regions alike, as the gain of a scanner may",
+    WITHIN: "; it differs within regions, as a gain of the image would that varies smoothly, in rings or by planes",
 }
 #: How a picture moves, by the number of the way.
 _WAYS = (

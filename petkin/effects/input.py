@@ -29,8 +29,9 @@ _SLOWEST_LINE = 12.0
 #: Rate at which the tissue around a vessel takes up, mL/cm3/min.
 _UPTAKE = 0.1
 #: How what the parent fraction lacks goes with time: by a half-time of its own, or with the recorded metabolites, which
-#: come sooner than recorded, are more, or have a steeper course.
-BY_TIME, SOONER, MORE, STEEPER = 0.0, 1.0, 2.0, 3.0
+#: come sooner than recorded, are more, have a steeper course, or are made at a higher rate.
+BY_TIME, SOONER, MORE, STEEPER, FASTER = 0.0, 1.0, 2.0, 3.0, 4.0
+_AS_RECORDED = (SOONER, MORE, STEEPER, FASTER)
 #: The least that a recorded fraction counts as, and the least of its metabolites; one that never falls below has none;
 #: the least of late tracer that is left where metabolites come sooner, and the least that a course is raised to.
 _LEAST_FRACTION, _LEAST_LOST, _NEXT_TO_ALL, _LEAST_LEFT = 0.02, 1e-6, 0.98, 0.02
@@ -108,14 +109,15 @@ def _of_all(model: ForwardModel, change: Callable[[Forcing], Forcing]) -> Forwar
 
 def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     """C_P (1 - a h(t)), or C_P / (1 + h(t) a / (1 - a)) where metabolites come sooner: what runs k times as fast, of a
-    fraction 1 / (1 + (t / tau)^b), has odds k^b times as large; what is k times as steep has them to the power k."""
+    fraction 1 / (1 + (t / tau)^b), has odds k^b times as large; what is k times as steep has them to the power k. What
+    has k times the rate of metabolism, -dP/dt / P, is the fraction to the power k."""
     loss, half, course = values["loss"], values["half_time"], values["course"]
     if not loss <= 1:
         raise InputError(
             f"parent_fraction={loss:g}: no more than all of the tracer can be metabolised; give at most 1."
         )
-    if course not in (BY_TIME, SOONER, MORE, STEEPER):
-        raise InputError(f"parent_fraction: course={course:g}: give 0, 1, 2 or 3.")
+    if course not in (BY_TIME, *_AS_RECORDED):
+        raise InputError(f"parent_fraction: course={course:g}: give 0, 1, 2, 3 or 4.")
     before, end = model.input, _end(model)
     if course != BY_TIME and before.parent_fraction is None:
         raise InputError(f"parent_fraction: course={course:g}: there is no parent fraction in this blood; give 0.")
@@ -149,10 +151,12 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
 
 
 def _of_metabolites(fraction: Any, course: float) -> Any:
-    """h of a parent fraction P: 1 - P, (1 - P) / P, or (1 - P) ln((1 - P) / P)."""
+    """h of a parent fraction P: 1 - P, (1 - P) / P, (1 - P) ln((1 - P) / P), or -ln P."""
     share, odds = _share_and_odds(fraction)
     if course == MORE:
         return odds
+    if course == FASTER:
+        return -library(share).log(share)
     return (1.0 - share) * (library(odds).log(odds) if course == STEEPER else 1.0)
 
 
@@ -162,6 +166,8 @@ def _left(fraction: Any, lost: Any, course: float, most: float) -> Any:
         share, odds = _share_and_odds(fraction)
         return 1.0 / (share * (1.0 + odds ** (1.0 + lost / most).clip(min=_LEAST_LEFT)))
     h = _of_metabolites(fraction, course) / most
+    if course == FASTER:
+        return (1.0 - lost).clip(min=_LEAST_LEFT) ** h
     return 1.0 / (1.0 + lost / (1.0 - lost).clip(min=_LEAST_LEFT) * h) if course == SOONER else 1.0 - lost * h
 
 
@@ -176,7 +182,7 @@ def _with_metabolites(blood: InputFunction) -> tuple[dict[str, float], ...]:
     fraction = blood.parent_fraction
     if fraction is None or float(fraction(fraction.knots).min()) > _NEXT_TO_ALL:
         return ()
-    return tuple({"half_time": 10.0, "course": course} for course in (SOONER, MORE, STEEPER))
+    return tuple({"half_time": 10.0, "course": course} for course in _AS_RECORDED)
 
 
 def _spilled(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
@@ -245,14 +251,14 @@ PARENT_FRACTION = Effect(
                 "1",
                 BY_TIME,
                 BY_TIME,
-                STEEPER,
-                meaning="0: by half_time; metabolites come 1: sooner, 2: to more, 3: more steeply",
+                FASTER,
+                meaning="0: by half_time; metabolites come 1: sooner, 2: to more, 3: more steeply, 4: at a higher rate",
             ),
         )
     ),
     meaning="less (> 0) of the plasma is unchanged tracer than recorded, or more: C_P (1 - a h), "
     "h = t^2 / (t^2 + t50^2), or (1 - P) / P of the recorded fraction P (course 2); or these odds change by a factor "
-    "(course 1) or a power (course 3)",
+    "(course 1) or a power (course 3), or the fraction by a power (course 4)",
     source="Tonietto M et al. J Cereb Blood Flow Metab 2016;36:326-339, doi:10.1177/0271678X15610585",
     change=_metabolised,
     split_by="parent fraction measured in more samples, or a second measurement of them",

@@ -443,7 +443,7 @@ def test_options_that_name_nothing_are_refused(text: str, message: str) -> None:
         "blood_volume=5",
         "second_tissue=-0.1",
         "parent_fraction=2",
-        "parent_fraction=0.3,course=4",
+        "parent_fraction=0.3,course=5",
         "parent_fraction=0.3,course=2",
         "gain_step=0.1,onset=nan",
         "attenuation_mismatch=0.1,region=3",
@@ -500,6 +500,27 @@ def test_metabolites_of_a_steeper_course(loss: float, late: float, one_tissue: F
     assert little is not None
     fell = 1.0 - little(at + late) / base.input.parent_fraction(at + late)
     assert float(fell.max()) == pytest.approx(1e-3, rel=0.02)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.5])
+@pytest.mark.parametrize("loss", [0.4, -0.4])
+def test_metabolites_that_are_made_at_a_higher_rate(loss: float, late: float, one_tissue: ForwardModel) -> None:
+    """k times the rate -dP/dt / P gives P^k; the loss is that where the scan ends."""
+    effect = effect_named("parent_fraction")
+    t = np.linspace(0.0, 100.0, 4001)
+    recorded = np.exp(-0.08 * t / (1.0 + 0.05 * t))
+    base = able(effect, one_tissue)
+    base = dataclasses.replace(
+        base, input=dataclasses.replace(base.input, parent_fraction=PiecewiseLinear(t, recorded)).delayed(late)
+    )
+    changed = effect.inject(base, {"loss": loss, "course": 4.0})
+    assert changed.input.parent_fraction is not None
+    at = torch.tensor([2.0, 9.0, base.clock.frames.end[-1] - late], dtype=torch.float64)
+    was = np.interp(at.numpy(), t, recorded)
+    times = 1.0 + np.log(1.0 - loss) / np.log(was[-1])
+    assert changed.input.parent_fraction(at + late).tolist() == pytest.approx((was**times).tolist(), rel=2e-3)
+    ratio = changed.input.plasma(at + late) / base.input.plasma(at + late)
+    assert ratio.tolist() == pytest.approx((was ** (times - 1.0)).tolist(), rel=2e-3)
 
 
 def test_a_second_tissue_beside_a_second_tissue_is_refused(one_tissue: ForwardModel) -> None:

@@ -28,8 +28,9 @@ from petkin.diagnosis.nuisance import Projection
 
 Array = NDArray[np.float64]
 
-#: Rhythms of a swing, and half periods of the slowest one in a scan.
-_BAND, _SLOWEST = 3, 3
+#: Rhythms of a swing, of which the last is the first of the next, and half periods of the slowest one in a scan; by how
+#: much of a scan samples of one length may differ.
+_BAND, _SLOWEST, _UNEVEN = 3, 3, 1e-6
 #: Of the common course of residuals, what the projection leaves less of in variance tells no pace.
 _LEFT = 0.3
 #: Widths w that are averaged, and the largest q / S.
@@ -43,7 +44,7 @@ class Swing:
     Args:
         axis: direction of what samples have in common (C, K).
         root: c to units in which what is left of its noise is white (K, n).
-        columns: G in those units, along the eigenvectors of M (g, n, 3).
+        columns: G in those units, along the eigenvectors of M (g, 3, n).
         size: eigenvalues of M, in units of m (g, 3).
     """
 
@@ -75,19 +76,22 @@ class Swing:
         refitted = common(axes.T)
         left, vectors = np.linalg.eigh(np.eye(shape[1]) - refitted.T @ refitted)
         root = vectors[:, left > _LEFT] / np.sqrt(left[left > _LEFT])
-        white = np.concatenate([noise.whiten(bands[:, :, None, :] * each) for each in values])
-        columns = common(white - (white @ axes) @ axes.T) @ root
+        rhythms = bands.reshape(-1, 1, shape[1])
+        white = np.concatenate([noise.whiten(rhythms * each) for each in values])
+        columns = ((common(white) - (white @ axes) @ refitted) @ root).reshape(-1, _BAND, root.shape[1])
         size, turned = np.linalg.eigh(columns @ columns.swapaxes(-1, -2))
         size = np.maximum(size, np.maximum(1e-12 * size[:, -1:], 1e-300))
         scale = size.mean(axis=-1, keepdims=True)
-        return cls(axis, root, columns.swapaxes(-1, -2) @ turned / np.sqrt(scale)[..., None], size / scale)
+        along = turned.swapaxes(-1, -2) @ columns / np.sqrt(scale)[..., None]
+        return cls(axis, root, along, size / scale)
 
     def log_evidence(self, residuals: Array) -> Array:
         """log B for what a refit left of whitened data (..., C K)."""
         each = without_jumps(residuals.reshape(*residuals.shape[:-1], *self.axis.shape))
         common = (each * self.axis).sum(axis=-2) @ self.root
         total = np.maximum((common**2).sum(axis=-1, keepdims=True), 1e-300)
-        share = np.moveaxis(common @ self.columns, 0, -2) ** 2 / total[..., None]
+        score = common @ self.columns.reshape(-1, common.shape[-1]).T
+        share = score.reshape(*score.shape[:-1], *self.size.shape) ** 2 / total[..., None]
         found = []
         for variance in _WIDTHS**2:
             grown = 1.0 + variance * self.size
@@ -97,12 +101,14 @@ class Swing:
 
 
 def _bands(times: Array) -> Array:
-    """Cosines that follow on each other (g, 3, K), by place and by time, up to the quickest that samples can show."""
+    """Cosines that follow on each other (g, 3, K), by place and, of uneven samples, by time, the quickest that samples
+    can show and slower ones."""
     places = np.arange(float(times.size))
-    found = []
-    for x in (places, times - times[0]):
+    later, found = times - times[0], []
+    for x in (places, later)[: 1 + int(np.ptp(np.diff(times)) > _UNEVEN * np.ptp(times))]:
         step = float(np.median(np.diff(x)[times.size // 2 :])) if times.size > 1 else np.inf
-        quickest = min(int(x[-1] / step + 1e-9), times.size - 1)
-        rhythms = np.arange(_SLOWEST, quickest - _BAND + 2)[:, None] + np.arange(_BAND)
+        quickest = min(int(x[-1] / step + _UNEVEN), times.size - 1)
+        firsts = np.arange(quickest - _BAND + 1, _SLOWEST - 1, 1 - _BAND)
+        rhythms = firsts[:, None] + np.arange(_BAND)
         found.append(np.cos(np.pi * rhythms[..., None] * x / max(float(x[-1]), 1e-300)))
     return np.concatenate(found)

@@ -38,10 +38,10 @@ def test_evidence_is_the_mean_over_sizes_of_noise(channels: int) -> None:
     common = (data / 0.957).sum(axis=0) / np.sqrt(channels)
     places = np.arange(SAMPLES) / (SAMPLES - 1)
     profile = values.sum(axis=0) / np.sqrt(channels)
-    for first in (3, 20, 33):
+    for first in (3, 21, 33):
         columns = np.cos(np.pi * np.arange(first, first + 3)[:, None] * places) * profile
         precision = np.eye(3) * np.trace(columns @ columns.T) / 3.0
-        i = first - 3
+        i = (33 - first) // 2
         one = Swing(found.axis, found.root, found.columns[i : i + 1], found.size[i : i + 1])
         logs = []
         for width in _WIDTHS:

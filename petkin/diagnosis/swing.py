@@ -3,7 +3,7 @@
     c_k = sum_j a_j cos(pi j x_k) f_k + e_k,   j = i, i + 1, i + 2,   e ~ N(0, s^2 V),   a ~ N(0, w^2 s^2 / m)
 
 c is what whitened residuals have in common, V what the projection leaves of its covariance, f the simulator's values,
-x the place among the samples or the time, in shares of the scan. Noise that samples share has every pace alike, a swing
+x the place among the samples or the time, in shares of all. Noise that samples share has every pace alike, a swing
 three rhythms that follow on each other; so s need not be known. With any size of noise as likely on a log scale,
 
     B = mean over i and w of |1 + w^2 M / m|^{-1/2} (1 - q / S)^{-n/2},   q = t'(m / w^2 + M)^{-1} t
@@ -28,8 +28,8 @@ from petkin.diagnosis.nuisance import Projection
 
 Array = NDArray[np.float64]
 
-#: Rhythms of a swing, of which the last is the first of the next, and half periods of the slowest one in a scan; by how
-#: much of a scan samples of one length may differ.
+#: Rhythms of a swing, of which the last is the first of the next, and half periods of the slowest one; by what share of
+#: all the time even samples may differ.
 _BAND, _SLOWEST, _UNEVEN = 3, 3, 1e-6
 #: Of the common course of residuals, what the projection leaves less of in variance tells no pace.
 _LEFT = 0.3
@@ -103,12 +103,13 @@ class Swing:
 def _bands(times: Array) -> Array:
     """Cosines that follow on each other (g, 3, K), by place and, of uneven samples, by time, the quickest that samples
     can show and slower ones."""
-    places = np.arange(float(times.size))
-    later, found = times - times[0], []
+    if times.size < _SLOWEST + _BAND:
+        return np.zeros((0, _BAND, times.size))
+    places, later, found = np.arange(float(times.size)), times - times.min(), []
     for x in (places, later)[: 1 + int(np.ptp(np.diff(times)) > _UNEVEN * np.ptp(times))]:
-        step = float(np.median(np.diff(x)[times.size // 2 :])) if times.size > 1 else np.inf
-        quickest = min(int(x[-1] / step + _UNEVEN), times.size - 1)
+        step = float(np.median(np.diff(x)[times.size // 2 :]))
+        quickest = min(int(x.max() / step + _UNEVEN), times.size - 1)
         firsts = np.arange(quickest - _BAND + 1, _SLOWEST - 1, 1 - _BAND)
         rhythms = firsts[:, None] + np.arange(_BAND)
-        found.append(np.cos(np.pi * rhythms[..., None] * x / max(float(x[-1]), 1e-300)))
+        found.append(np.cos(np.pi * rhythms[..., None] * x / x.max()))
     return np.concatenate(found)

@@ -94,15 +94,16 @@ def test_what_alternates_is_seen_though_noise_is_taken_for_as_large(size: float)
         float(found.log_evidence(size * (gain + each).ravel())) for each in rng.standard_normal((60, *values.shape))
     ]
     assert np.mean(np.array(logs) > 5.0) > 0.9
-    assert (
-        Swing.around(
-            [values[:, :5]],
-            TIMES[:5],
-            Noise(np.ones((5, 5)), np.ones(5), 0.0),
-            Projection.of(np.zeros((25, 1)), np.ones(1)),
-        )
-        is None
-    )
+
+
+@pytest.mark.parametrize(("samples", "told"), [(1, False), (2, False), (5, False), (6, True)])
+def test_few_samples_show_no_swing(samples: int, told: bool) -> None:
+    noise = Noise(np.ones((2, samples)), np.ones(2), 0.0)
+    projection = Projection.of(np.zeros((2 * samples, 1)), np.ones(1))
+    found = Swing.around([np.ones((2, samples))], TIMES[:samples], noise, projection)
+    assert (found is not None) == told
+    if found is not None:
+        assert np.isfinite(found.log_evidence(np.random.default_rng(0).standard_normal((9, 2 * samples)))).all()
 
 
 @pytest.mark.parametrize("period", [2.0, 2.7, 4.5])

@@ -57,8 +57,8 @@ def write_text(path: Path, content: str) -> None:
 class AtomicFolder:
     """A set of outputs: files written under `staging` move below `target` when the block ends well, else none does.
 
-    Each file is renamed into place, so none is ever half there; where `target` did not exist before, the whole set
-    appears in one rename. Files that `target` already holds under other names stay.
+    Each file is renamed into place, so none is ever half there; a folder that is not there before, be it `target` or
+    one below it, appears with all that it holds in one rename. Files that are there under other names stay.
 
         with AtomicFolder(out) as folder:
             write_table(folder.path("sub-01/pet/sub-01_tacs.tsv"), table)
@@ -113,25 +113,38 @@ class AtomicFolder:
             self._temporary.__exit__(None, None, None)
 
     def _move_in(self) -> None:
-        if not self.target.exists():
-            try:
-                self.staging.rename(self.target)
-                return
-            except OSError as error:
-                if not self.target.is_dir():  # else another process was first, and its files stay
-                    raise _unwritable(self.target, error) from error
-        seal = None if self.seal is None else self.staging / self.seal
-        files = sorted((path for path in self.staging.rglob("*") if path.is_file()), key=lambda p: (p == seal, p))
-        places = [self.target / path.relative_to(self.staging) for path in files]
-        for place in places:
-            _refuse_to_leave(self.target, place)
-            make_folder(place.parent)
-            if place.is_dir() or not os.access(place.parent, os.W_OK | os.X_OK):
-                raise InputError(f"{place}: cannot be written; check the permissions of {place.parent}.")
+        try:
+            self.staging.rename(self.target)
+        except OSError as error:
+            if not self.target.is_dir():
+                raise _unwritable(self.target, error) from error
+        else:
+            return
+        for path in self.staging.rglob("*"):
+            if path.is_file():
+                self._require(self.target / path.relative_to(self.staging))
         if self.seal is not None:
             (self.target / self.seal).unlink(missing_ok=True)
-        for path, place in zip(files, places, strict=True):
-            _replace(path, place)
+        self._move_each(self.staging, self.target)
+
+    def _require(self, place: Path) -> None:
+        """Whether a file may be put there."""
+        _refuse_to_leave(self.target, place)
+        folder = nearest_folder(place.parent)
+        if place.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{place}: cannot be written; check the permissions of {folder}.")
+
+    def _move_each(self, folder: Path, place: Path) -> None:
+        """Move what a folder holds: folders whole, or piece by piece where there is one already; the seal last."""
+        seal = None if self.seal is None else self.staging / self.seal
+        for path in sorted(folder.iterdir(), key=lambda p: (seal is not None and p in (seal, *seal.parents), p)):
+            there = place / path.name
+            try:
+                path.replace(there)
+            except OSError as error:
+                if not (path.is_dir() and there.is_dir()):
+                    raise _unwritable(there, error) from error
+                self._move_each(path, there)
 
 
 @contextmanager

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import pytest
 
@@ -76,6 +76,28 @@ def test_a_set_joins_what_is_there(tmp_path: Path) -> None:
         assert (tmp_path / "sub-01/both.txt").read_text() == "old"
     assert everything(tmp_path) == ["sub-01", "sub-01/both.txt", "sub-01/old.txt"]
     assert (tmp_path / "sub-01/both.txt").read_text() == "new"
+
+
+def test_a_folder_that_is_not_there_appears_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever is killed between two moves leaves none of a subject or all of it."""
+    write_text(tmp_path / "sub-01/pet/a.txt", "a")
+    seen, replace = [], Path.replace
+
+    def watched(path: Path, place: Path) -> Path:
+        moved = replace(path, place)
+        seen.append(everything(tmp_path / "sub-02"))
+        return moved
+
+    with AtomicFolder(tmp_path, seal=PurePath("sub-02/pet/a.txt")) as folder:
+        for name in ("a.txt", "b.txt"):
+            write_text(folder.path(f"sub-02/pet/{name}"), name)
+        write_text(folder.path("z.txt"), "z")
+        write_text(folder.path("sub-01/pet/b.txt"), "b")
+        monkeypatch.setattr(Path, "replace", watched)
+    whole = ["pet", "pet/a.txt", "pet/b.txt"]
+    assert seen[-1] == whole
+    assert all(there == [] for there in seen[:-1])
+    assert everything(tmp_path / "sub-01") == whole
 
 
 @pytest.mark.parametrize("there", [True, False])

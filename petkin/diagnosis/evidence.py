@@ -29,7 +29,8 @@ _STEP = float(_T[1] - _T[0])
 _OCCAM = np.log(np.trapezoid(np.exp(-0.5 * (_Z[:, None] - _T[None]) ** 2), dx=1.0 / (len(_Z) - 1), axis=0) + 1e-300)
 #: What a second cause costs in log evidence: most gaps have one cause. Set on training scans.
 SECOND = 8.0
-_WIDTHS = np.geomspace(0.5, 40.0, 8)
+#: Widths that many amplitudes of one effect may have, in units of their usual error.
+WIDTHS = np.geomspace(0.5, 40.0, 8)
 #: By how much of itself an amplitude differs between channels where it is about the same, and sizes of it that are
 #: averaged.
 _DIFFERS, _ABOUT = 0.5, np.geomspace(_WEAKEST, _STRONGEST, 48)
@@ -215,26 +216,26 @@ def _together(score, size, axes):
     """log B of every draw and every effect (draws, effects), averaged over the widths."""
     draws, effects, count = score.shape
     found = np.empty((draws, effects))
-    share, volume, parts = np.empty((_WIDTHS.size, count)), np.empty(_WIDTHS.size), np.empty(_WIDTHS.size)
+    share, volume, parts = np.empty((WIDTHS.size, count)), np.empty(WIDTHS.size), np.empty(WIDTHS.size)
     for e in range(effects):
-        for w in range(_WIDTHS.size):
-            variance, volume[w] = _WIDTHS[w] ** 2 / size[e].mean(), 0.0
+        for w in range(WIDTHS.size):
+            variance, volume[w] = WIDTHS[w] ** 2 / size[e].mean(), 0.0
             for j in range(count):
                 grown = 1.0 + variance * size[e, j]
                 share[w, j] = variance / grown
                 volume[w] += np.log(grown)
         for b in range(draws):
-            for w in range(_WIDTHS.size):
+            for w in range(WIDTHS.size):
                 parts[w] = -volume[w]
             for j in range(count):
                 turned = 0.0
                 for i in range(count):
                     turned += score[b, e, i] * axes[e, i, j]
-                for w in range(_WIDTHS.size):
+                for w in range(WIDTHS.size):
                     parts[w] += turned * turned * share[w, j]
             top = parts.max()
             total = 0.0
-            for w in range(_WIDTHS.size):
+            for w in range(WIDTHS.size):
                 total += np.exp(0.5 * (parts[w] - top))
-            found[b, e] = 0.5 * top + np.log(total / _WIDTHS.size)
+            found[b, e] = 0.5 * top + np.log(total / WIDTHS.size)
     return found

@@ -30,11 +30,11 @@ Array = NDArray[np.float64]
 
 #: Rhythms of a swing, of which the last is the first of the next, and half periods of the slowest one; by what share of
 #: all the time even samples may differ.
-_BAND, _SLOWEST, _UNEVEN = 3, 3, 1e-6
+BAND, _SLOWEST, _UNEVEN = 3, 3, 1e-6
 #: Of the common course of residuals, what the projection leaves less of in variance tells no pace.
 _LEFT = 0.3
-#: Widths w that are averaged, and the largest q / S.
-_WIDTHS, _MOST = np.geomspace(0.5, 40.0, 8), 0.9999
+#: The largest q / S.
+_MOST = 0.9999
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Swing:
         root = vectors[:, left > _LEFT] / np.sqrt(left[left > _LEFT])
         rhythms = bands.reshape(-1, 1, shape[1])
         white = np.concatenate([noise.whiten(rhythms * each) for each in values])
-        columns = ((common(white) - (white @ axes) @ refitted) @ root).reshape(-1, _BAND, root.shape[1])
+        columns = ((common(white) - (white @ axes) @ refitted) @ root).reshape(-1, BAND, root.shape[1])
         size, turned = np.linalg.eigh(columns @ columns.swapaxes(-1, -2))
         size = np.maximum(size, np.maximum(1e-12 * size[:, -1:], 1e-300))
         scale = size.mean(axis=-1, keepdims=True)
@@ -93,7 +93,7 @@ class Swing:
         score = common @ self.columns.reshape(-1, common.shape[-1]).T
         share = score.reshape(*score.shape[:-1], *self.size.shape) ** 2 / total[..., None]
         found = []
-        for variance in _WIDTHS**2:
+        for variance in evidence.WIDTHS**2:
             grown = 1.0 + variance * self.size
             explained = np.minimum((share * (variance / grown)).sum(axis=-1), _MOST)
             found.append(-0.5 * self.root.shape[1] * np.log1p(-explained) - 0.5 * np.log(grown).sum(axis=-1))
@@ -103,13 +103,13 @@ class Swing:
 def _bands(times: Array) -> Array:
     """Cosines that follow on each other (g, 3, K), by place and, of uneven samples, by time, the quickest that samples
     can show and slower ones."""
-    if times.size < _SLOWEST + _BAND:
-        return np.zeros((0, _BAND, times.size))
+    if times.size < _SLOWEST + BAND:
+        return np.zeros((0, BAND, times.size))
     places, later, found = np.arange(float(times.size)), times - times.min(), []
     for x in (places, later)[: 1 + int(np.ptp(np.diff(times)) > _UNEVEN * np.ptp(times))]:
         step = float(np.median(np.diff(x)[times.size // 2 :]))
         quickest = min(int(x.max() / step + _UNEVEN), times.size - 1)
-        firsts = np.arange(quickest - _BAND + 1, _SLOWEST - 1, 1 - _BAND)
-        rhythms = firsts[:, None] + np.arange(_BAND)
+        firsts = np.arange(quickest - BAND + 1, _SLOWEST - 1, 1 - BAND)
+        rhythms = firsts[:, None] + np.arange(BAND)
         found.append(np.cos(np.pi * rhythms[..., None] * x / x.max()))
     return np.concatenate(found)

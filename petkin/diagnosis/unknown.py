@@ -28,15 +28,15 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Profiles, Simulator
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
-from petkin.diagnosis.swing import Swing
+from petkin.diagnosis.swing import BAND, Swing
 
 Array = NDArray[np.float64]
 
 #: Where a discrepancy is: in all channels alike, in each for itself, both, in one alone; or in what drives them all.
 ALL, EACH, BOTH, ONE, DRIVE = "alike", "each", "both", "one", "drive"
-#: The same of what swings: three cosines that follow on each other, anywhere among them.
+#: The same of what swings: cosines that follow on each other, anywhere among them.
 SWINGING = "swings alike"
-_SWINGS, _BAND = {ALL: SWINGING, EACH: "swings each"}, 3
+_SWINGS = {ALL: SWINGING, EACH: "swings each"}
 #: Or in some channels up while it is down in others, on any course.
 PATTERN = "pattern"
 #: Or in what channels are means of, where somebody looked beside them.
@@ -163,7 +163,7 @@ def _along(profiles: Sequence[Profiles], cosines: Array) -> tuple[Array, dict[st
 def _groups(common: NDArray[np.intp], alone: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
     """Columns of a discrepancy in all channels alike (profiles, cosines), in each (profiles, cosines, C), both, and in
     one channel alone."""
-    bands = np.arange(_COUNT - _BAND + 1)[:, None] + np.arange(_BAND)
+    bands = np.arange(_COUNT - BAND + 1)[:, None] + np.arange(BAND)
     found = {ALL: common.reshape(1, -1), _SWINGS[ALL]: np.concatenate(common[:, bands], axis=1)}
     channels = alone.shape[2]
     if channels == 1:

@@ -188,7 +188,7 @@ def test_evidence_of_many_amplitudes_is_a_ratio_of_normals() -> None:
     information = G.T @ G
     size = np.linalg.eigvalsh(information).mean()
     ratios = []
-    for width in evidence._WIDTHS:
+    for width in evidence.WIDTHS:
         covariance = np.eye(12) + width**2 / size * G @ G.T
         ratios.append(multivariate_normal(cov=covariance).logpdf(y) - multivariate_normal(cov=np.eye(12)).logpdf(y))
     expected = np.logaddexp.reduce(ratios) - np.log(len(ratios))

@@ -8,8 +8,9 @@ from scipy.integrate import quad
 
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Profiles
+from petkin.diagnosis.evidence import WIDTHS
 from petkin.diagnosis.nuisance import Projection
-from petkin.diagnosis.swing import _WIDTHS, Swing
+from petkin.diagnosis.swing import Swing
 from petkin.diagnosis.unknown import Smooth
 
 SAMPLES, TIMES = 36, np.cumsum(np.repeat([0.5, 2.0, 5.0], 12))
@@ -44,7 +45,7 @@ def test_evidence_is_the_mean_over_sizes_of_noise(channels: int) -> None:
         i = (33 - first) // 2
         one = Swing(found.axis, found.root, found.columns[i : i + 1], found.size[i : i + 1])
         logs = []
-        for width in _WIDTHS:
+        for width in WIDTHS:
             covariance = np.eye(SAMPLES) + columns.T @ np.linalg.inv(precision) @ columns * width**2
             logs.append(_over_sizes(common, covariance) - _over_sizes(common, np.eye(SAMPLES)))
         expected = np.logaddexp.reduce(logs) - np.log(len(logs))

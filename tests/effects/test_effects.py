@@ -478,6 +478,12 @@ def test_metabolites_that_come_sooner_or_are_more(course: float, late: float, on
     assert ratio.tolist() == pytest.approx((expected / recorded).tolist(), rel=2e-3)
 
 
+def with_fraction(model: ForwardModel, recorded: PiecewiseLinear, late: float) -> ForwardModel:
+    """With such a recorded parent fraction, all blood late by so many minutes."""
+    base = able(effect_named("parent_fraction"), model)
+    return dataclasses.replace(base, input=dataclasses.replace(base.input, parent_fraction=recorded).delayed(late))
+
+
 @pytest.mark.parametrize("late", [0.0, 0.5])
 @pytest.mark.parametrize("loss", [0.4, -0.4])
 def test_metabolites_of_a_steeper_course(loss: float, late: float, one_tissue: ForwardModel) -> None:
@@ -486,10 +492,7 @@ def test_metabolites_of_a_steeper_course(loss: float, late: float, one_tissue: F
     effect = effect_named("parent_fraction")
     t = np.linspace(0.0, 100.0, 4001)
     recorded = 1.0 / (1.0 + (t / 4.0) ** 1.5)
-    base = able(effect, one_tissue)
-    base = dataclasses.replace(
-        base, input=dataclasses.replace(base.input, parent_fraction=PiecewiseLinear(t, recorded)).delayed(late)
-    )
+    base = with_fraction(one_tissue, PiecewiseLinear(t, recorded), late)
     changed = effect.inject(base, {"loss": loss, "course": 3.0})
     assert changed.input.parent_fraction is not None
     at = torch.tensor([2.0, 4.0, base.clock.frames.end[-1] - late], dtype=torch.float64)
@@ -509,10 +512,7 @@ def test_metabolites_that_are_made_at_a_higher_rate(loss: float, late: float, on
     effect = effect_named("parent_fraction")
     t = np.linspace(0.0, 100.0, 4001)
     recorded = np.exp(-0.08 * t / (1.0 + 0.05 * t))
-    base = able(effect, one_tissue)
-    base = dataclasses.replace(
-        base, input=dataclasses.replace(base.input, parent_fraction=PiecewiseLinear(t, recorded)).delayed(late)
-    )
+    base = with_fraction(one_tissue, PiecewiseLinear(t, recorded), late)
     changed = effect.inject(base, {"loss": loss, "course": 4.0})
     assert changed.input.parent_fraction is not None
     at = torch.tensor([2.0, 9.0, base.clock.frames.end[-1] - late], dtype=torch.float64)

@@ -7,8 +7,8 @@ window along one axis:
 
     b_v = (1 + cos(pi (u_i - c) / h)) / 2 within h of c, else 0
 
-Waves and windows lie along the axes of the grid, along the diagonals of its planes and about its middle, as detectors
-stand in rings about the third axis.
+Waves and windows lie along the axes of the grid and, as detectors stand in rings about the third, along the diagonals
+across that and along the distance from it.
 
 The weights of contrasts are the waves times the image as it is seen, centred within every region, and turned there so
 that they share no noise; they look beside the picture as it is drawn.

@@ -46,7 +46,7 @@ def estimates(candidate: Candidate, simulator: Simulator, base: Fit, noise: Nois
         found.append(_amplitude(term, _part(covariance, place), simulator.channels))
         if "onset" in place:
             found.append(_onset(term, fit, place, simulator, noise))
-        numbers = (symbol for symbol in ("frame", "axis", "beside") if symbol in term.setting)
+        numbers = (symbol for symbol in ("frame", "edge", "axis", "beside") if symbol in term.setting)
         found += [Estimate(symbol, "1", *(3 * [float(term.setting[symbol])]), effect=name) for symbol in numbers]
     return tuple(found)
 

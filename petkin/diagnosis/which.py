@@ -144,18 +144,19 @@ def _with_rest(found: list[Candidate], by_name: dict[str, float]) -> list[Candid
 
 
 def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near: Candidate) -> Candidate:
-    """The better of a refit that began at the simulator's own fit and one that began away from it, at full strength."""
+    """The best of a refit that began at the simulator's own fit and others, from its usual values at full strength.
+
+    Near the simulator's own fit what is strong and bends may end in a side valley, however little it gains there.
+    """
     (term,) = near.terms
-    own = simulator.starts[0]
+    places = simulator.starts[:1] if term.hypothesis.flag else simulator.starts
     if not term.hypothesis.flag:
-        if near.gain < _BLATANT:
-            return near
-        own = simulator.starts[-1]
         strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
         middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
         term = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
-    found = refitted(simulator, data, noise, base, replace(base.state, own=own, terms=(*base.state.terms, term)))
-    return found if found.gain > near.gain else near
+    terms = (*base.state.terms, term)
+    found = [refitted(simulator, data, noise, base, replace(base.state, own=own, terms=terms)) for own in places]
+    return max(near, *found, key=lambda c: c.gain)
 
 
 def as_promised(

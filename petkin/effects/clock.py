@@ -38,7 +38,10 @@ def _shifted(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
 
 def _misjudged(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel:
     factor = np.ones(len(model.clock.frames))
-    factor[int(min(max(values["frame"], 0), len(factor) - 1))] += values["gain"]
+    at = int(min(max(values["frame"], 0), len(factor) - 1))
+    factor[at] += values["gain"]
+    if at + 1 < len(factor):
+        factor[at + 1] -= values["edge"] * values["gain"] * model.clock.divisor[at] / model.clock.divisor[at + 1]
     return replace(model, clock=_times(model.clock, factor))
 
 
@@ -82,9 +85,11 @@ FRAME_DURATION = Effect(
         (
             Parameter("gain", "1", 0.1, -0.5, 0.5, meaning="relative excess of the frame's value"),
             Parameter("frame", "1", 10.0, 0.0, 999.0, meaning="number of the frame, from 0"),
+            Parameter("edge", "1", 0.0, 0.0, 1.0, meaning="share of its excess counts that the next frame lacks"),
         )
     ),
-    meaning="one frame was divided by a wrong duration: its values are too large (> 0) or too small in all regions",
+    meaning="one frame was divided by a wrong duration: its values are too large (> 0) or too small in all regions; "
+    "or its end slipped (edge 1), and the next frame lacks the counts that it has too many",
     source="header slips; any size",
     change=_misjudged,
     split_by="the list-mode record of the frame",

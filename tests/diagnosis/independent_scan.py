@@ -154,6 +154,9 @@ def _both(t, u, rates, course, where, filling):
 
 def _framed(t: Array, whole: Array, effects: dict[str, dict[str, float]]) -> Array:
     shift = effects.get("frame_offset", {}).get("size", 0.0) / 60.0
+    if "slipped_edge" in effects:  # one frame ends late by a share of its length, the next begins then
+        last = int(effects["slipped_edge"]["frame"])
+        shift = effects["slipped_edge"]["size"] * np.diff(EDGES)[last] * (np.arange(EDGES.size) == last + 1)
     if "mid_frame_sampling" in effects:
         return np.stack([np.interp(MID, t, row) for row in whole])
     rate = LAMBDA * (1.0 - _excess(effects))

@@ -41,8 +41,10 @@ SINGLES = {
     "interrupted_record": {"size": 0.01, "onset": 30.0},
     "motion_between": {"size": 0.1, "onset": 36.0},
     "alternating_gain": {"size": 0.02},
+    "slipped_edge": {"size": 0.1, "frame": 20.0},
 }
-NAMED = tuple(name for name in SINGLES if name not in ("interrupted_record", "motion_between", "alternating_gain"))
+OURS = ("interrupted_record", "motion_between", "alternating_gain", "slipped_edge")
+NAMED = tuple(name for name in SINGLES if name not in OURS)
 FLAGS = ("mean_life_swap", "decay_applied_twice", "decay_not_applied")
 
 
@@ -163,6 +165,21 @@ def test_tissue_in_an_image_derived_input_is_named(seed: int) -> None:
     found = diagnose(simulator, data, hypotheses(EFFECTS, simulator, without=frozenset()))
     assert found.present
     assert "input_partial_volume" in found.chosen
+
+
+def test_a_frame_that_ended_late_is_named_with_the_next_one() -> None:
+    """One frame has what the next one lacks: noise in common cannot do that as well, whatever its size."""
+    for seed in range(4):
+        (cause, *_) = case(80 + seed, "slipped_edge", 12.0, seed).answer.causes
+        known = {e.symbol: e.value for e in cause.estimates}
+        assert (cause.label, known["frame"], known["edge"]) == ("frame_duration", 20.0, 1.0)
+
+
+def test_a_wrong_frame_is_seldom_one_whose_end_slipped() -> None:
+    found = hypothesis_of(effect_named("frame_duration"), simulator_of(scan.draw(np.random.default_rng(0))))
+    slipped = np.array([each["edge"] for each in found.settings]) > 0
+    assert np.exp(found.told)[slipped].sum() / len(slipped) == pytest.approx(0.25)
+    assert slipped.sum() == len(slipped) / 2
 
 
 def test_motion_between_regions_is_in_the_set() -> None:

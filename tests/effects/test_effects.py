@@ -43,7 +43,7 @@ CONTRACT = {
 #: Names that are ours.
 BEYOND = {"vascular": "vascular_release"}
 #: Parameters that are zero unless they are given: everywhere, for ever.
-IDLE = ("region", "beside", "kr", "course")
+IDLE = ("region", "beside", "kr", "course", "edge")
 LAMBDA = math.log(2) / 109.77
 
 
@@ -521,6 +521,21 @@ def test_metabolites_that_are_made_at_a_higher_rate(loss: float, late: float, on
     assert changed.input.parent_fraction(at + late).tolist() == pytest.approx((was**times).tolist(), rel=2e-3)
     ratio = changed.input.plasma(at + late) / base.input.plasma(at + late)
     assert ratio.tolist() == pytest.approx((was ** (times - 1.0)).tolist(), rel=2e-3)
+
+
+@pytest.mark.parametrize("corrected", [True, False])
+def test_a_frame_whose_end_slipped_has_what_the_next_one_lacks(corrected: bool, one_tissue: ForwardModel) -> None:
+    """Counts of one value are the same in all; beyond the last frame nothing can lack any."""
+    clock = dataclasses.replace(one_tissue.clock, corrected=corrected)
+    model, effect = dataclasses.replace(one_tissue, clock=clock), effect_named("frame_duration")
+    last = len(clock.frames) - 1
+    for frame in (11, last):  # 10 s before 20 s
+        changed = effect.inject(model, {"gain": 0.1, "frame": float(frame), "edge": 1.0}).clock.gain_or_one
+        assert changed[frame] == pytest.approx(1.1)
+        assert (np.flatnonzero(changed != 1.0) == range(frame, min(frame + 2, last + 1))).all()
+    slipped = effect.inject(model, {"gain": 0.1, "frame": 11.0, "edge": 1.0}).clock.gain_or_one
+    assert clock.divisor @ slipped == pytest.approx(clock.divisor.sum())
+    assert slipped[12] == pytest.approx(0.95, abs=2e-4 if corrected else 1e-12)
 
 
 def test_a_second_tissue_beside_a_second_tissue_is_refused(one_tissue: ForwardModel) -> None:

@@ -12,6 +12,7 @@ import pytest
 from petkin.diagnosis import Family, holding
 from petkin.imaging import FrameSchedule, Leg, Motion
 from petkin.study.diagnosis.drawing import Predicted
+from petkin.study.diagnosis.fields import departures
 from petkin.study.diagnosis.moving import moves
 from petkin.study.diagnosis.picture import Picture, Voxels
 from petkin.study.diagnosis.scene import Scene, _slope, drifts
@@ -94,6 +95,44 @@ def test_edges_that_run_within_voxels_are_nuisance() -> None:
         mine = columns[np.abs(columns[:, r]).max(axis=1) > 0, r].T
         covariance = mine @ mine.T + 1e-6 * np.eye(FRAMES)
         assert rows[r] @ np.linalg.solve(covariance, rows[r]) < 3.0 * REGIONS
+
+
+def in_a_row(seed: int) -> Voxels:
+    """Three regions side by side, of noise that is a fifth of their values; the picture is the mean of the frames, what
+    is drawn has no noise."""
+    rng, count = np.random.default_rng(seed), REGIONS * EACH
+    levels = np.outer([10.0, 20.0, 35.0], np.ones(FRAMES)) / np.sqrt(FRAMES)
+    place, inside = np.repeat(np.arange(REGIONS), EACH), np.ones((1, count, 1), bool)
+    curves = levels[place] * (1.0 + 0.2 * rng.standard_normal((count, FRAMES)))
+    courses = np.ones((1, FRAMES)) / np.sqrt(FRAMES)
+    grain = VoxelNoise(np.ones(FRAMES), np.ones((1, 1, 1)), place.reshape(inside.shape) + 1)
+    seen = (curves @ courses.T).reshape(*inside.shape, 1)
+    picture = Picture(
+        curves.T.astype(np.float32), place, inside, (slice(None),) * 3, (2.0,) * 3, 0.0, courses, seen, grain
+    )
+    fit: Any = SimpleNamespace(values=levels)
+    voxels = Voxels(picture, fit, 0.2 * levels, np.zeros((REGIONS, FRAMES, 2)), drawn=levels[place] @ courses.T)
+    voxels.__dict__["_common"] = np.ones(FRAMES)
+    return voxels
+
+
+def test_what_weighs_the_voxels_shares_no_noise_with_the_frames() -> None:
+    """By a picture that is a mean of these frames, gains of regions off the middle would see its noise in each of them,
+    all of one sign."""
+    gains, fields = [], []
+    for seed in range(150):
+        voxels = in_a_row(seed)
+        tilt = next(c for c in _contrasts(Scene(voxels)) if c.family == "gain 1")
+        gains.append(voxels.beside(tilt.weights).mean(axis=1))
+        (along, *_) = departures(voxels, [_nothing], np.arange(1.0, FRAMES + 1.0), {}, least=1e-6)
+        fields.append(along.family.rows.mean(axis=1))
+    for means in (np.array(gains), np.array(fields)):
+        spread = np.maximum(means.std(axis=0), 1e-9)
+        assert (np.abs(means.mean(axis=0)) < 4.0 * spread / np.sqrt(len(means))).all()
+
+
+def _nothing(weights: np.ndarray, regions: np.ndarray) -> np.ndarray:
+    return np.zeros((0, len(weights) * len(regions), FRAMES))
 
 
 def test_a_drift_may_begin_and_end_during_the_scan() -> None:

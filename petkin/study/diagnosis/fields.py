@@ -10,8 +10,8 @@ window along one axis:
 Waves and windows lie along the axes of the grid and, as detectors stand in rings about the third, along the diagonals
 across that and along the distance from it.
 
-The weights of contrasts are the waves times the image as it is seen, centred within every region, and turned there so
-that they share no noise; they look beside the picture as it is drawn.
+The weights of contrasts are the waves times the picture as it is drawn, which shares no noise with the frames, centred
+within every region, and turned there so that they share none; they look beside that picture.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def departures(
         named: what effects that have a name add.
         least: smallest standard deviation that noise may have.
     """
-    bright, regions = voxels.total(voxels.seen), _largest(voxels)
+    bright, regions = voxels.total(voxels.expectation), _largest(voxels)
     found = []
     for fields, windows in _fields(voxels):
         weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)

@@ -19,6 +19,9 @@ _BESIDE, _SPARSE = 25, 2
 #: Log odds of a blunder that is there or not: it has no size to be averaged over, and fewer scans have it than have any
 #: one effect. Set on training scans, of which it makes the truth likelier taken together.
 _BLUNDER = -3.0
+#: How often what lies beside is one region, not the others' mean, and how often the next frame lacks what a wrong one
+#: has too much.
+_OFTEN = {"beside": 0.5, "edge": 0.25}
 #: A rate that may be zero is looked for from this share of the end of its range on.
 _SLOWEST = 0.001
 
@@ -69,6 +72,8 @@ def _settings(effect: Effect, simulator: RegionalSimulator) -> tuple[dict[str, f
             values = onsets(clock, _SCANNER_ONSETS if scanner else _TISSUE_ONSETS, scanner=scanner)
         elif parameter.symbol == "frame":
             values = tuple(float(k) for k in range(len(clock.frames)))
+        elif parameter.symbol == "edge":
+            values = (0.0, 1.0)
         elif parameter.symbol == "beside":
             chosen = _neighbours(len(simulator.channels))
             near = [{**setting, "beside": region} for setting in found[::_SPARSE] for region in chosen]
@@ -89,7 +94,10 @@ def _neighbours(regions: int) -> list[float]:
 
 
 def _told(settings: Sequence[Mapping[str, float]]) -> tuple[float, ...]:
-    """How much likelier each is than an average one: what lies beside is the others' mean, or as likely one region."""
-    one = np.array([setting.get("beside", 0.0) > 0 for setting in settings])
-    share = np.where(one, one.mean(), 1.0 - one.mean())
-    return tuple(-np.log(2.0 * share)) if one.any() else ()
+    """How much likelier each is than an average one, by how often its switches are on."""
+    told = np.zeros(len(settings))
+    for symbol, often in _OFTEN.items():
+        on = np.array([setting.get(symbol, 0.0) > 0 for setting in settings])
+        if on.any():
+            told += np.log(np.where(on, often / on.mean(), (1.0 - often) / (1.0 - on.mean())))
+    return tuple(map(float, told)) if told.any() else ()

@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 #: 183 training scans of noise alone, of five other laws, whose gap a law explains, none has such a gap; of 8 with one
 #: region and a gap of d' 6 to 19 six.
 _STRONG, _BEYOND = 5.0, 3.0
+#: Causes beside which the law is asked: those with so much of the likeliest one's probability, and no more than so many.
+_LIKELY, _ASKED = 0.1, 4
 #: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05
 
@@ -177,7 +179,7 @@ def _judged(
             if denied and not _beyond_noise(simulator, likeliest):
                 return told, other, otherwise, None
         if found.otherwise:
-            found = _beside_leader(simulator, values, counted, likeliest, found, seed=seed)
+            found = _beside_causes(simulator, values, counted, likeliest, found, seed=seed)
             told = None if without else found
         if not found.otherwise or (without and found.claimed):
             return told, simulator, counted, likeliest
@@ -215,7 +217,7 @@ def laws_in_common(
         detected = detect(simulator, values, candidates, seed=seed)
         if detected.present:
             likeliest = diagnose(simulator, values, candidates, always=always, seed=seed, detected=detected)
-            looks[i] = _beside_leader(simulator, values, detected, likeliest, looks[i], seed=seed)
+            looks[i] = _beside_causes(simulator, values, detected, likeliest, looks[i], seed=seed)
         told(len(scans) + i + 1)
     return shared_law(looks) or alone
 
@@ -226,17 +228,27 @@ def _beyond_noise(simulator: RegionalSimulator, likeliest: Diagnosis) -> bool:
     return explained >= max(_STRONG, evidence_without_gap(simulator, likeliest.base) + _BEYOND)
 
 
-def _beside_leader(
+def _beside_causes(
     simulator: RegionalSimulator, values: Array, detected: Detected, likeliest: Diagnosis, found: Scatter, *, seed: int
 ) -> Scatter:
-    """What is left beside the likeliest cause says of the law; what was found where it has no fit.
+    """What is left beside the likely causes says of the law, each as sure as the cause is likely; what was found where
+    none has a fit.
 
-    What the cause adds is told from the fit that showed the gap: noise weighed by the cause moves a fit without it.
+    Beside the likeliest alone, scans whose causes are as likely as others would change their law at a breath, and of
+    scans that tell it together all would. What a cause adds is told from the fit that showed the gap: noise weighed by
+    the cause moves a fit without it.
     """
-    leader, base = likeliest.causes[0].fit, detected.based[0]
-    if leader is None:
-        return found
-    return look_at_scatter(simulator, base_fit(simulator, values - (leader.values - base.values)), seed=seed)
+    base, least = detected.based[0], _LIKELY * likeliest.likely[0].probability
+    likely = [(c.probability, c.fit) for c in likeliest.likely if c.fit is not None and c.probability >= least]
+    looks = [
+        look_at_scatter(simulator, base_fit(simulator, values - (fit.values - base.values)), seed=seed)
+        for _, fit in likely[:_ASKED]
+    ]
+    if len(looks) < 2:
+        return looks[0] if looks else found
+    shares = np.array([probability for probability, _ in likely[:_ASKED]])
+    first, *rest = (float(s) * look.exponents for s, look in zip(shares / shares.sum(), looks, strict=True))
+    return Scatter.of(sum(rest, first))
 
 
 def scattered(found: Diagnosis, scatter: Scatter | None) -> Diagnosis:

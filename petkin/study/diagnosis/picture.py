@@ -204,6 +204,11 @@ class Voxels:
         """The labelled voxels as mixtures of courses (N, M)."""
         return self.picture.seen[self.inside[self.picture.box]]
 
+    @property
+    def expectation(self) -> Array:
+        """The same as they are drawn, without noise; as seen before that is known."""
+        return self.seen if self.drawn is None else self.drawn
+
     def total(self, maps: Array) -> Array:
         """Sum over the frames, in units of the noise, of maps that follow the courses (..., M): (...)."""
         usual = np.sqrt((self.spread**2).mean(axis=0))

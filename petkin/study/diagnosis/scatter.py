@@ -64,6 +64,10 @@ class Exponents:
         """What both say of one law."""
         return Exponents(self.information + other.information, self.score + other.score)
 
+    def __rmul__(self, share: float) -> Exponents:
+        """What is said with a share of the confidence."""
+        return Exponents(share * self.information, share * self.score)
+
     @property
     def _posterior(self) -> Array:
         return self.information + np.eye(len(self.score)) / PRIOR_SD**2

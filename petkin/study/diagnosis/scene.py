@@ -112,9 +112,15 @@ class Scene:
 
     def tilt(self, axis: int) -> Array:
         """What a gain adds that grows along an axis, by one from the middle to the edge of the head."""
+        return self._along(axis)[:, None] * self.voxels.seen
+
+    def weighing_tilt(self, axis: int) -> Array:
+        """The same in the picture as it is drawn, which shares no noise with the frames that it weighs."""
+        return self._along(axis)[:, None] * self.voxels.expectation
+
+    def _along(self, axis: int) -> Array:
         place = np.nonzero(self.voxels.inside)[axis].astype(np.float64)
-        place = 2.0 * (place - place.mean()) / max(float(np.ptp(place)), 1.0)
-        return np.asarray(place[:, None] * self.voxels.seen, np.float64)
+        return np.asarray(2.0 * (place - place.mean()) / max(float(np.ptp(place)), 1.0), np.float64)
 
     def _turn(self, plane: tuple[int, int]) -> Array:
         """Of a turn about the middle of the labels, by a millimetre at their rim."""

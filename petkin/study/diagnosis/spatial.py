@@ -234,12 +234,15 @@ class _Contrast(Weighed):
 
 def _contrasts(scene: Scene) -> list[_Contrast]:
     """Motion along every axis of the grid and about it, and gains along every axis."""
-    moved = [_of(scene, f"motion {way}", MOTIONS, way, maps, MOTION_MM) for way, maps in scene.motions.items()]
-    return moved + [_of(scene, f"gain {axis}", GAINS, axis, scene.tilt(axis), GAIN) for axis in scene.axes]
+    moved = [_of(scene, f"motion {way}", MOTIONS, way, maps, maps, MOTION_MM) for way, maps in scene.motions.items()]
+    tilts = [(axis, scene.tilt(axis), scene.weighing_tilt(axis)) for axis in scene.axes]
+    return moved + [_of(scene, f"gain {axis}", GAINS, axis, maps, seen, GAIN) for axis, maps, seen in tilts]
 
 
-def _of(scene: Scene, family: str, names: tuple[str, ...], axis: int, maps: Array, prior: float) -> _Contrast:
-    weights = scene.voxels.centred(scene.voxels.total(maps))
+def _of(
+    scene: Scene, family: str, names: tuple[str, ...], axis: int, maps: Array, weighing: Array, prior: float
+) -> _Contrast:
+    weights = scene.voxels.centred(scene.voxels.total(weighing))
     return _Contrast(weights, scene.voxels.picture.grain.between(weights), family, names, axis, maps, prior)
 
 

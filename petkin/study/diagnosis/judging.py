@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 #: 183 training scans of noise alone, of five other laws, whose gap a law explains, none has such a gap; of 8 with one
 #: region and a gap of d' 6 to 19 six.
 _STRONG, _BEYOND = 5.0, 3.0
-#: Causes beside which the law is asked: those with so much of the likeliest one's probability, and no more than so many.
+#: Causes beside which the law is asked: those with so much of the likeliest one's probability, at most so many.
 _LIKELY, _ASKED = 0.1, 4
 #: Prior odds that nothing scatters otherwise, and how often no explanation is right; as of the other effects.
 _PRIOR_LOG_ODDS, _LAPSE = -3.0, 0.05

@@ -3,7 +3,7 @@
 A law other than that of counts is there to explain a gap: where counts leave none, theirs stays. Where they leave one,
 its p-value is the mean over both laws, each as likely as the scatter makes it, and if that claims nothing the other law
 stands in place of the gap, unless the likeliest cause has twice the evidence that any law could have. If it does claim
-something, the other must also be the law of what the likeliest cause leaves to be taken,
+something, the other must also be the law of what the likely causes leave to be taken,
 since the gap of a missing delay makes early frames uneven. A law that is flatter than that of counts has a name,
 `noise_variance`; it is beside other causes where there is a gap as well.
 
@@ -194,7 +194,7 @@ def laws_in_common(
     always: frozenset[str] = frozenset(),
     told: Callable[[int], None] = lambda _: None,
 ) -> tuple[SharedLaw | None, ...]:
-    """The law of every scan as all tell it together, beside the likeliest cause of a gap as well as without any; None
+    """The law of every scan as all tell it together, beside the likely causes of a gap as well as without any; None
     of one scan, and where they do not tell the law of counts from others.
 
     Args:

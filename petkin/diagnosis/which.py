@@ -22,7 +22,8 @@ _WITHIN, _SHARE, _MOST = 14.0, 0.4, 12
 #: A hypothesis that was not refitted ranks at least this far below the best that was.
 _BELOW = 3.0
 _MOST_OCCAM = 4.0
-#: Gain of the objective from which on a gap is so large that a refit may end in a side valley; where it begins anew.
+#: Chi-square beyond that of noise from which on flags and `always` are refitted however weak their templates look; the
+#: share of its range at which what is looked for from afar begins.
 _BLATANT, _FAR = 40.0, 0.3
 #: Chi-square beyond that of noise from which on no template is weak, and the scan only says whom to refit first.
 _GLARING = 1000.0
@@ -149,8 +150,10 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
     Near the simulator's own fit what is strong and bends may end in a side valley, however little it gains there.
     """
     (term,) = near.terms
-    places = simulator.starts[:1] if term.hypothesis.flag else simulator.starts
-    if not term.hypothesis.flag:
+    places = simulator.starts
+    if term.hypothesis.flag:
+        places = places[:1]
+    else:
         strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
         middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
         term = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})

@@ -266,6 +266,13 @@ def test_the_image_says_which_settings_are_likely() -> None:
     assert looked.told(beside) is beside
 
 
+@pytest.mark.parametrize(("edge", "end"), [(0.0, ""), (1.0, ", whose end slipped")])
+def test_the_frame_that_is_wrong_is_said(edge: float, end: str) -> None:
+    known = [Estimate(s, "1", v, v, v, effect="frame_duration") for s, v in (("amplitude", 0.1), ("frame", 20.0))]
+    cause = Cause(("frame_duration",), ("clock",), 0.9, 30.0, (*known, Estimate("edge", "1", edge, edge, edge)))
+    assert sized(cause) == f"Frame duration of 0.1 in frame 20{end}"
+
+
 def test_an_axis_is_said_of_the_motion_whose_size_is_said() -> None:
     """Of a pair each effect has its own size, place and time."""
     gain = Estimate("amplitude", "1", 0.05, 0.05, 0.05, effect="gain_step", channel="Putamen")

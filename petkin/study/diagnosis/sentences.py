@@ -99,7 +99,7 @@ def _strength(known: Mapping[str, Estimate]) -> str:
     place = f" in {size.channel}" if size.channel else ""
     if "frame" in known:
         slipped = "edge" in known and known["edge"].value > 0
-        place += f" in frame {known['frame'].value:.0f}" + (", which the next one lacks" if slipped else "")
+        place += f" in frame {known['frame'].value:.0f}" + (", whose end slipped" if slipped else "")
     return f" of {size.value:.3g}{unit}{way}{place}" + (
         f" from {known['onset'].value:.3g} min on" if "onset" in known else ""
     )

@@ -140,7 +140,8 @@ def _cluster(execution: Execution) -> Iterator[Client]:
             dashboard_address="127.0.0.1:0",
             scheduler_kwargs={"dashboard": False},
             memory_limit=0,  # petkin keeps to a limit of its own
-            silence_logs=logging.CRITICAL,
+            # what fails is answered; the scheduler of a hurried end complains of lines that are closed
+            silence_logs=logging.CRITICAL + 1,
             env={"NUMBA_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": "1"},
         ) as cluster,
         Client(cluster) as client,

@@ -161,3 +161,28 @@ def test_ctrl_c_ends_the_workers(cohort: tuple[Path, dict[str, bytes]]) -> None:
     assert not list(study.rglob(".petkin-*"))
     if before:
         assert not differences(_results(study), before)
+
+
+_HURRIED = """
+import logging
+from contextlib import suppress
+from petkin.study import cohort
+from petkin.study.resources import Execution
+
+def interrupted(*_):
+    logging.getLogger("distributed.scheduler").critical("a line is closed")
+    raise KeyboardInterrupt
+
+cohort._gather = interrupted
+if __name__ == "__main__":
+    with suppress(KeyboardInterrupt):
+        cohort.fit_on_cluster(None, [], Execution(workers=1), print)
+"""
+
+
+def test_what_a_scheduler_says_at_a_hurried_end_is_kept_from_the_user(tmp_path: Path) -> None:
+    """Workers still tell how far they are while their line is being closed: a matter of who is faster."""
+    script = tmp_path / "hurried.py"
+    script.write_text(_HURRIED)
+    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=100)
+    assert (ran.returncode, ran.stderr) == (0, "")

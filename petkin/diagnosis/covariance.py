@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: The largest rho: no noise is all in common.
 MOST_SHARED = 0.9
+#: Newton steps in which sizes that may be others settle, and the last of them.
+_ROUNDS, _SETTLED = 40, 1e-4
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Noise:
         load: u (C, K), or (C, 1) where samples do not differ; None where all are 1.
         errors: b, what channels show of errors of what drives them (M, C, K).
         uneven: e, errors of ln v (M, C, K).
+        doubt: standard deviations of ln s (C,), whose mean over the channels is known; (1,) of none where all are.
     """
 
     spread: Array
@@ -49,6 +52,7 @@ class Noise:
     load: Array | None = None
     errors: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
     uneven: Array = field(default_factory=lambda: np.zeros((0, 1, 1)))
+    doubt: Array = field(default_factory=lambda: np.zeros(1))
 
     @cached_property
     def mixing(self) -> Array:
@@ -113,6 +117,32 @@ class Noise:
         if not len(self.uneven):
             return np.ones((1, 1, 1))
         return np.asarray(np.exp(np.einsum("nm,mck->nck", rng.standard_normal((count, len(self.uneven))), self.uneven)))
+
+    def spared(self, white: Array, freedom: float) -> float:
+        """What a whitened residual (C K) gains in log likelihood where a channel's noise is larger, or smaller, than s.
+
+            max_x sum_c { q_c (1 - e^{-2 x_c}) / 2 - n x_c - (x_c / doubt_c)^2 / 2 },   sum_c x_c = 0
+
+        where q_c is a channel's sum of squares and n its degrees of freedom: what stands out in one channel alone may
+        be its noise, what stands out in all is not.
+
+        Args:
+            white: as `whiten` gives it.
+            freedom: degrees of freedom of all channels together.
+        """
+        if not self.doubt.all() or len(self.size) == 1:
+            return 0.0
+        squares, each = (white.reshape(len(self.size), -1) ** 2).sum(axis=1), freedom / len(self.size)
+        x, hold = np.zeros(len(self.size)), self.doubt**-2.0
+        for _ in range(_ROUNDS):
+            left = squares * np.exp(-2.0 * x)
+            slope, bend = each - left + hold * x, 2.0 * left + hold
+            step = (slope - (slope / bend).sum() / (1.0 / bend).sum()) / bend
+            x = x - step
+            if np.abs(step).max() < _SETTLED:
+                break
+        gained = 0.5 * squares * -np.expm1(-2.0 * x) - each * x - 0.5 * hold * x**2
+        return float(gained.sum())
 
     def without_errors(self, residuals: Array) -> Array:
         """Residuals (C, K) less what is likeliest to come from errors of what drives the channels."""

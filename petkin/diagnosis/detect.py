@@ -139,7 +139,7 @@ def noise_draws(
     draws = draws / wild
     left = without_jumps(_beyond(draws, bases))
     degrees = np.array([max(samples - axes.shape[1], 1) for axes in bases], float)
-    size, shares = size_and_share(left, degrees, second_differences(draws), noise.size, level, noise.load)
+    size, shares, _ = size_and_share(left, degrees, second_differences(draws), noise.size, level, noise.load)
     relative = (size / noise.size)[..., None]
     white = across(inverse_root(channels, shares, noise.load), draws / relative).reshape(count, -1)
     return noise.settled(white + noise.erring(rng, count))

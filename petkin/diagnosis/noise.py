@@ -20,6 +20,11 @@ _MOST_FACTOR = 0.6
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
 _SCATTER = 3.0
+#: Share of second differences that counts as degrees of freedom: neighbours correlate by -2/3 and 1/6.
+_FREE = 1.0 / (1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2))
+#: Variance of ln s^2 between channels before any data, and as that of how many channels it counts: their noise differs
+#: by a fifth, as where regions are of several volumes.
+_UNLIKE, _CHANNELS = 0.16, 4.0
 #: A value this many robust deviations from the other channels is wild; fewer channels than this cannot tell.
 _WILD, _FEW = 3.5, 3
 
@@ -114,37 +119,44 @@ def levels(values: Array, spread: Array) -> Array:
     return np.asarray(np.maximum(found, 1e-12 * max(float(found.max()), 1e-300)), np.float64)
 
 
-def pooled(sizes: Array, freedom: Array, level: Array) -> Array:
+def pooled(sizes: Array, freedom: Array, level: Array) -> tuple[Array, Array]:
     """Sizes (..., C) drawn to what is common to them, all the more the less they differ beyond their own errors.
 
     That is one size in units of v or one share of the channels' values, whichever they differ less from. ln s^2 varies
-    by _SCATTER / freedom about its channel's, and channels differ by what is left of its variance.
+    by _SCATTER / freedom about its channel's, and channels differ by what is left of its variance, with a prior.
 
     Args:
         sizes: each channel's own.
-        freedom: degrees of freedom (C,).
+        freedom: degrees of freedom (..., C).
         level: size of the values in units of v (C, K), which counts as it is in the later half of the samples.
+
+    Returns:
+        the sizes; standard deviations of ln s, with what is common to them known.
 
     Reference: Efron B, Morris C. J Am Stat Assoc 1973;68:117-130 (sizes drawn to each other).
     """
+    error = _SCATTER / freedom
     if sizes.shape[-1] == 1:
-        return sizes
+        return sizes, 0.5 * np.sqrt(error)
     own = np.log(np.maximum(sizes, 1e-300) ** 2)
     level = np.median(level[:, level.shape[1] // 2 :], axis=1)
     each = own[..., None, :] - np.stack([np.zeros_like(level), 2.0 * np.log(level)])
     nearest = each.var(axis=-1).argmin(axis=-1)[..., None, None]
     logs = np.take_along_axis(each, nearest, axis=-2)[..., 0, :]
-    error = _SCATTER / freedom
-    between = np.maximum(logs.var(axis=-1, ddof=1, keepdims=True) - error.mean(), 0.0)
+    others = sizes.shape[-1] - 1.0
+    found = np.maximum(logs.var(axis=-1, ddof=1, keepdims=True) - error.mean(axis=-1, keepdims=True), 0.0)
+    between = (others * found + _CHANNELS * _UNLIKE) / (others + _CHANNELS)
     trust, weight = between / (between + error), 1.0 / (between + error)
     common = (weight * logs).sum(axis=-1, keepdims=True) / weight.sum(axis=-1, keepdims=True)
-    return np.exp(0.5 * (own + (1.0 - trust) * (common - logs)))
+    return np.exp(0.5 * (own + (1.0 - trust) * (common - logs))), 0.5 * np.sqrt(trust * error)
 
 
 def size_and_share(
     loose: Array, freedom: Array, bends: Array, scale: Array, level: Array, load: Array | None
-) -> tuple[Array, Array]:
-    """Size of the noise (..., C) and its share in common (...), from a flexible fit or from second differences.
+) -> tuple[Array, Array, Array]:
+    """Size of the noise (..., C), its share in common (...) and how unsure ln s is (..., C).
+
+    From a flexible fit or from second differences.
 
     Args:
         loose: what the flexible fit left, jumps cut (..., C, K).
@@ -159,10 +171,11 @@ def size_and_share(
     if load is not None:
         told = with_factor(loose, float(freedom.mean()), load)
         size, share = np.where(fitted, told, with_factor(bends, bends.shape[-1], load[:, 1:-1]))
-        return size[..., None] * scale, share
-    size = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, freedom, level)
+        return size[..., None] * scale, share, 0.5 * np.sqrt(_SCATTER / freedom / len(freedom))
+    free = np.where(fitted[..., None], freedom, _FREE * bends.shape[-1])
+    size, doubt = pooled(np.where(fitted[..., None], by_fit, by_bends) * scale, free, level)
     relative = (size / scale)[..., None]
-    return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative))
+    return size, np.where(fitted, common_share(loose / relative), common_share(bends / relative)), doubt
 
 
 def first_floor(
@@ -186,8 +199,8 @@ def first_floor(
     """
     loose, freedom, bends = without_jumps(flexible[0]), flexible[1], second_differences(residuals)
     load = loads(level) if factor else None
-    size, share = size_and_share(loose, freedom, bends, np.ones(len(spread)), level, load)
-    return Noise(spread, np.maximum(size, least), float(share), load)
+    size, share, doubt = size_and_share(loose, freedom, bends, np.ones(len(spread)), level, load)
+    return Noise(spread, np.maximum(size, least), float(share), load, doubt=doubt)
 
 
 def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least: Array) -> Noise:
@@ -196,7 +209,7 @@ def lowered(noise: Noise, residuals: Array, parameters: int, level: Array, least
     freedom = max(scaled.size - parameters, scaled.size // 3) / len(scaled)
     load, even = None if noise.load is None else loads(level), np.ones(len(scaled))
     if load is None:
-        size = pooled(np.sqrt((scaled**2).sum(axis=1) / freedom), freedom * even, level)
+        size, _ = pooled(np.sqrt((scaled**2).sum(axis=1) / freedom), freedom * even, level)
         share = common_share(scaled / np.maximum(size, least)[:, None])
     else:
         own, share = with_factor(scaled, freedom, load)

@@ -22,7 +22,7 @@ from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, begun
 from petkin.diagnosis.scan import Scan, Template, starts
-from petkin.diagnosis.which import Candidate, after_refit, as_promised, excess, halfway, refitted
+from petkin.diagnosis.which import Candidate, after_refit, as_promised, excess, halfway, refitted, spared
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ def _refitted(
     start = begun(simulator, data, noise, first.fit, terms[-1:])
     pair = refitted(simulator, data, noise, base, start)
     pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
-    second = _second(first, pair, len(simulator.channels)) - wanted.excess
+    second = _second(noise, first, pair, len(simulator.channels)) - wanted.excess
     second = halfway(second, wanted.score - first.log_evidence, terms[-1:])
     return replace(pair, log_evidence=first.log_evidence + second - SECOND)
 
@@ -108,15 +108,15 @@ def _refitted_jointly(
     pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
     value = halfway(pair.log_evidence - wanted.excess, wanted.score, terms)
     if first is not None:
-        value = min(value, first.log_evidence + _second(first, pair, len(simulator.channels)))
+        value = min(value, first.log_evidence + _second(noise, first, pair, len(simulator.channels)))
     return replace(pair, log_evidence=value - SECOND)
 
 
-def _second(first: Candidate, pair: Candidate, channels: int) -> float:
+def _second(noise: Noise, first: Candidate, pair: Candidate, channels: int) -> float:
     """What the second effect of a pair adds to the log evidence of the first."""
     assert first.fit is not None
     assert pair.fit is not None
-    more = foreknown(pair.terms) - foreknown(first.terms)
+    more = foreknown(pair.terms) - foreknown(first.terms) + spared(noise, pair.fit) - spared(noise, first.fit)
     return after_refit(first.fit, pair.fit, channels, len(first.fit.state.terms)) + more
 
 

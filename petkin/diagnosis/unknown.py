@@ -266,7 +266,7 @@ def left_beside(
     return found
 
 
-def beside(log_evidence: float, left: float | None) -> float:
+def beside(log_evidence: float, left: float | None, spared: float = 0.0) -> float:
     """log evidence of an explanation with what it leaves explained by a gap of no name beside it.
 
     A name that a smooth discrepancy cannot stand in for keeps its claim, whatever else is in the data.
@@ -274,8 +274,9 @@ def beside(log_evidence: float, left: float | None) -> float:
     Args:
         log_evidence: of the explanation alone.
         left: of a gap of no name in what it leaves, where that is known.
+        spared: what of its own is for noise of single channels, which that gap would be in place of.
     """
     if left is None:
         return log_evidence
-    more = min(left, _SMALL * max(log_evidence, 0.0))
+    more = min(left, _SMALL * max(log_evidence, 0.0)) - spared
     return float(np.logaddexp(log_evidence, log_evidence + more - _STRANGER))

@@ -42,8 +42,10 @@ class Candidate:
     Args:
         names: of one or two hypotheses, sorted.
         fit: the refit.
-        log_evidence: against no effect.
+        log_evidence: against no effect; `spared` of that fit is in it until all have been found.
         gain: fall of the objective.
+        terms: what was fitted.
+        spared: what of the log evidence is that what it leaves may be the noise of single channels.
     """
 
     names: tuple[str, ...]
@@ -51,6 +53,7 @@ class Candidate:
     log_evidence: float
     gain: float = 0.0
     terms: tuple[Term, ...] = ()
+    spared: float = 0.0
 
     @property
     def label(self) -> str:
@@ -208,14 +211,16 @@ def refitted(
     if any(_is_about_one(term.hypothesis) for term in fit.state.terms[known:]):
         one = refit(simulator, data, noise, _as_one(fit, channels, known), iterations=_STEPS, renewed=_RENEWED)
         if one.objective < fit.objective:  # one number went further than as many: they stood in a side valley
-            other = refit(simulator, data, noise, _as_many(one, fit), iterations=_STEPS, renewed=_RENEWED)
-            fit = min(fit, other, key=lambda f: f.objective)
-    value = after_refit(base, fit, channels, known)
+            many = refit(simulator, data, noise, _as_many(one, fit), iterations=_STEPS, renewed=_RENEWED)
+            fit = min(fit, many, key=lambda f: f.objective)
+    noisy = spared(noise, fit)
+    value = after_refit(base, fit, channels, known) + noisy
     if one is not None:
-        value = float(np.logaddexp(value, after_refit(base, one, channels, known)) - np.log(2.0))
+        other = after_refit(base, one, channels, known) + spared(noise, one)
+        value = float(np.logaddexp(value, other) - np.log(2.0))
     terms = fit.state.terms[known:]
     names = tuple(sorted(t.hypothesis.name for t in terms))
-    return Candidate(names, fit, value + foreknown(terms), base.objective - fit.objective, terms)
+    return Candidate(names, fit, value + foreknown(terms), base.objective - fit.objective, terms, noisy)
 
 
 def _is_about_one(hypothesis: Hypothesis) -> bool:
@@ -269,6 +274,11 @@ def after_refit(base: Fit, fit: Fit, channels: int, known: int) -> float:
     total = min(total, 0.5 * gain)  # an average is no larger than the best, however far the refit is from a minimum
     volume = _log_volume(fit.jacobian[:, :size], fit.penalty[:size]) - _log_volume(base.jacobian, base.penalty)
     return total - float(np.clip(0.5 * volume, -_MOST_OCCAM, _MOST_OCCAM))
+
+
+def spared(noise: Noise, fit: Fit) -> float:
+    """What a fit leaves that the noise of single channels may be."""
+    return noise.spared(fit.residual, fit.freedom)
 
 
 def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:

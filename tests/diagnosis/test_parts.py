@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import evidence
@@ -328,22 +329,66 @@ def test_benjamini_hochberg_by_hand() -> None:
 
 
 def test_sizes_are_drawn_together_only_as_far_as_chance_could_part_them() -> None:
-    freedom, level = np.full(4, 30.0), np.ones(4)
+    """Halfway, where chance alone could: channels seldom have one noise, and a few do not say that they have."""
+    freedom, level = np.full(4, 30.0), np.ones((4, 1))
     alike, apart = np.array([0.95, 1.0, 1.05, 1.0]), np.array([0.2, 1.0, 3.0, 8.0])
-    assert np.ptp(pooled(alike, freedom, level[:, None])) < 1e-12
-    np.testing.assert_allclose(pooled(apart, freedom, level[:, None]), apart, rtol=0.12)
-    np.testing.assert_allclose(
-        pooled(7.0 * apart, freedom, level[:, None]), 7.0 * pooled(apart, freedom, level[:, None])
-    )
-    assert pooled(np.array([2.0]), np.array([30.0]), np.ones((1, 1))) == 2.0
+    drawn, doubt = pooled(alike, freedom, level)
+    assert np.ptp(drawn) == pytest.approx(0.5 * np.ptp(alike), rel=0.1)
+    assert np.all((doubt > 0.08) & (doubt < 0.5 * np.sqrt(3.0 / 30.0)))
+    many = np.tile(alike, 10)
+    assert np.ptp(pooled(many, np.full(40, 30.0), np.ones((40, 1)))[0]) < 0.2 * np.ptp(alike)
+    drawn, doubt = pooled(apart, freedom, level)
+    np.testing.assert_allclose(drawn, apart, rtol=0.12)
+    np.testing.assert_allclose(doubt, 0.5 * np.sqrt(3.0 / 30.0), rtol=0.05)
+    np.testing.assert_allclose(pooled(7.0 * apart, freedom, level)[0], 7.0 * drawn)
+    assert pooled(np.array([2.0]), np.array([30.0]), np.ones((1, 1))) == (2.0, pytest.approx(0.158, abs=0.001))
 
 
 def test_sizes_are_drawn_to_one_share_of_the_values_where_that_is_what_they_are() -> None:
     freedom, level = np.full(4, 30.0), np.array([1.0, 2.0, 4.0, 8.0])
     alike = np.array([0.95, 1.0, 1.05, 1.0])
-    assert np.ptp(pooled(alike * level, freedom, level[:, None]) / level) < 1e-12
+    assert np.ptp(pooled(alike * level, freedom, level[:, None])[0] / level) < 0.55 * np.ptp(alike)
     apart = alike * np.array([1.0, 3.0, 1.0, 9.0])
-    np.testing.assert_allclose(pooled(apart, freedom, level[:, None]), apart, rtol=0.12)
+    np.testing.assert_allclose(pooled(apart, freedom, level[:, None])[0], apart, rtol=0.12)
+
+
+def test_sizes_scatter_about_the_truth_as_they_are_unsure() -> None:
+    """Channels whose noise differs by a fifth: as far off as said, and nearer than each channel's own."""
+    rng = np.random.default_rng(5)
+    truth = np.exp(0.2 * rng.standard_normal((400, 6)))
+    own = truth * np.sqrt(rng.chisquare(24.0, truth.shape) / 24.0)
+    found, doubt = pooled(own, np.full(6, 24.0), np.ones((6, 1)))
+    off = np.log(found / truth)
+    off -= off.mean(axis=1, keepdims=True)
+    assert 0.6 < np.sqrt((off**2).mean()) / np.sqrt((doubt**2).mean()) < 1.0
+    raw = np.log(own / truth)
+    assert (off**2).mean() < 0.8 * ((raw - raw.mean(axis=1, keepdims=True)) ** 2).mean()
+
+
+def test_what_stands_out_in_one_channel_may_be_its_noise_and_in_all_is_not() -> None:
+    """Against a search over all sizes whose mean logarithm is known."""
+    channels, samples = 5, 30
+    doubt = np.array([0.1, 0.15, 0.2, 0.1, 0.12])
+    noise = Noise(np.ones((channels, samples)), np.ones(channels), 0.0, doubt=doubt)
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal((channels, samples))
+
+    def searched(values: np.ndarray) -> float:
+        squares = (values**2).sum(axis=1)
+
+        def lost(free: np.ndarray) -> float:
+            x = np.append(free, -free.sum())
+            return -float((0.5 * squares * -np.expm1(-2.0 * x) - 28.0 * x - 0.5 * (x / doubt) ** 2).sum())
+
+        return -float(minimize(lost, np.zeros(channels - 1), method="BFGS").fun)
+
+    for factor in (1.0, 1.5, 3.0, 30.0):
+        loud = white * np.array([1.0, 1.0, factor, 1.0, 1.0])[:, None]
+        assert noise.spared(loud.ravel(), 28.0 * channels) == pytest.approx(searched(loud), rel=1e-3)
+    assert noise.spared(white.ravel(), 28.0 * channels) < 1.0
+    assert noise.spared(3.0 * np.ones(white.size), 28.0 * channels) == pytest.approx(0.0, abs=1e-9)
+    known = Noise(np.ones((channels, samples)), np.ones(channels), 0.0)
+    assert known.spared(5.0 * white.ravel(), 28.0 * channels) == 0.0
 
 
 def test_a_quiet_channel_between_loud_ones_is_not_wild() -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from petkin.diagnosis import Term
-from petkin.diagnosis.diagnose import scan_of
+from petkin.diagnosis.covariance import Noise
+from petkin.diagnosis.diagnose import _Explained, _explained, scan_of
 from petkin.diagnosis.nominal import base_fit
 from petkin.diagnosis.refit import State, _within, refit
 from petkin.diagnosis.scan import Scan, starts
@@ -119,3 +120,39 @@ def test_a_refit_that_holds_less_than_was_promised_begins_anew() -> None:
     assert as_promised(simulator, data, noise, base, astray, terms, astray.log_evidence) is astray
     renewed = as_promised(simulator, data, noise, base, astray, terms, best.log_evidence)
     assert renewed.gain > best.gain - 10.0
+
+
+def _ranked(data: np.ndarray, doubt: float) -> dict[str, float]:
+    """log evidence of everything, where all channels are taken to have the noise that most of them have."""
+    simulator, count = DecayingChannels(count=30), len(data)
+    noise = Noise(np.ones_like(data), np.full(count, 0.05), 0.0, doubt=np.full(count, doubt))
+    base = refit(simulator, data, noise, State(simulator.starts[0], np.zeros(0)))
+    first = _Explained(noise, base, scan_of(simulator, noise, base, HYPOTHESES), [])
+    return {c.label: c.log_evidence for c in _explained(simulator, data, first, frozenset()).ranked}
+
+
+def _lead(found: dict[str, float]) -> float:
+    """By how much the step alone is likelier than the likeliest pair."""
+    return found["step"] - max([value for label, value in found.items() if "+" in label], default=-np.inf)
+
+
+def test_the_noise_of_one_channel_is_no_second_cause() -> None:
+    """One channel scatters 2.7 times as much as it is taken to: what it alone shows may be noise, unless it is seen
+    in a channel that does not."""
+    step, jump = (
+        Term(hypothesis("step"), 0.1, {"onset": 4.0}),
+        Term(hypothesis("local step"), np.zeros(4), {"onset": 6.5}),
+    )
+    sure, unsure, beside = [], [], []
+    for seed in range(12):
+        noise = 0.05 * np.random.default_rng(seed).standard_normal((4, 30))
+        loud = np.array([1.0, 1.0, 2.7, 1.0])[:, None]
+        both = (step, replace(jump, amplitude=np.array([0.0, 0.3, 0.0, 0.0])))
+        simulator = DecayingChannels(count=30)
+        alone, together = (simulator.predict(TRUTH, np.zeros(0), terms) for terms in ((step,), both))
+        sure.append(_lead(_ranked(alone + loud * noise, 0.0)))
+        unsure.append(_lead(_ranked(alone + loud * noise, 0.15)))
+        beside.append(_lead(_ranked(together + noise, 0.15)))
+    assert min(sure) < 0.0
+    assert min(unsure) > 5.0
+    assert max(beside) < -5.0

@@ -72,6 +72,7 @@ class Answer:
         size: of one cause, without its sign; 0 for none, two, or what has no size.
         onset: of one cause, min; -1 for none.
         clean: values without noise (R, K).
+        noisiness: of every region (R,).
     """
 
     kind: str
@@ -88,6 +89,7 @@ class Answer:
     size: float
     onset: float
     clean: Array
+    noisiness: Array
 
 
 def case(split: str, seed: int, index: int, regions: int = 5, frames: str = "clinical") -> tuple[Scan, Answer]:
@@ -114,7 +116,8 @@ def scan_of(subject: Subject, simulator: Simulator, values: Array) -> Scan:
 def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, Simulator, Answer]:
     if kind == "none":
         clean = observe(scene.subject)
-        nothing = Answer(kind, noise, scene.percent, (), (), (), 0.0, 0.0, 0.0, -1, -1, 0.0, -1.0, clean)
+        rough = scene.subject.noisiness
+        nothing = Answer(kind, noise, scene.percent, (), (), (), 0.0, 0.0, 0.0, -1, -1, 0.0, -1.0, clean, rough)
         return scene.subject, scene.simulator, nothing
     if kind == "pair":
         return _pair(scene, noise)
@@ -151,6 +154,7 @@ def _answer(scene: Scene, kind: str, split: str, noise: str) -> tuple[Subject, S
         size=0.0 if cause.flag else made.size,
         onset=made.drawn.onset if cause.onset else -1.0,
         clean=made.values,
+        noisiness=made.subject.noisiness,
     )
     return made.subject, made.simulator, answer
 
@@ -222,6 +226,7 @@ def _pair(scene: Scene, noise: str) -> tuple[Subject, Simulator, Answer]:
             size=0.0,
             onset=-1.0,
             clean=values,
+            noisiness=scene.subject.noisiness,
         )
         return scene.subject, scene.simulator, answer
     raise RuntimeError(f"No two causes reached their strengths in {TRIES} draws.")

@@ -134,7 +134,7 @@ def ideal(scan: Scan, answer: Answer, *, seed: int) -> dict[str, object]:
     if answer.kind not in ("known", "other form"):
         return nothing
     simulator = simulator_of(scan)
-    given = law(answer.clean, scan.frames, answer.percent, KINDS[answer.noise][0])
+    given = law(answer.clean, scan.frames, answer.percent, KINDS[answer.noise][0], answer.noisiness)
     noise = Noise(given.sd, np.ones(len(given.sd)), given.share)
     fits = [refit(simulator, answer.clean, noise, State(own, simulator.shared.mean)) for own in simulator.starts]
     base = min(fits, key=lambda fit: fit.objective)

@@ -30,7 +30,7 @@ class Scene:
     share: float
 
     def law(self, values: Array) -> NoiseLaw:
-        return law(values, self.subject.frames, self.percent, self.share)
+        return law(values, self.subject.frames, self.percent, self.share, self.subject.noisiness)
 
     def seen(self, values: Array) -> Seen:
         return seen(values, self.simulator, self.subject, self.law(values))

@@ -36,11 +36,11 @@ class NoiseLaw:
         return np.einsum("rs,...sk->...rk", root, values / self.sd).reshape(*values.shape[:-2], -1)
 
 
-def law(values: Array, frames: Frames, percent: float, share: float) -> NoiseLaw:
-    """Of counts, so large that late values scatter by so many percent in the median of each region."""
+def law(values: Array, frames: Frames, percent: float, share: float, noisiness: Array | float = 1.0) -> NoiseLaw:
+    """Of counts, so large that late values scatter by so many percent in each region's median; noisier ones more."""
     shape = np.sqrt(np.maximum(values, 0.02 * values.max(axis=1, keepdims=True)) / frames.counted)
     late = frames.mid > _LATE
-    size = percent / 100.0 / np.median(shape[:, late] / values[:, late], axis=1)
+    size = noisiness * percent / 100.0 / np.median(shape[:, late] / values[:, late], axis=1)
     return NoiseLaw(size[:, None] * shape, share)
 
 

@@ -24,6 +24,8 @@ SCHEDULES_S = {
 }
 #: Half-lives of 11C and 18F, min.
 HALF_LIVES = (20.364, 109.77)
+#: Spread of the logarithm of how noisy a region is.
+_UNLIKE = 0.2
 _RATES = ((0.06, 0.4), (0.05, 0.3), (0.02, 0.1), (0.01, 0.06))
 
 
@@ -57,13 +59,17 @@ class Frames:
 
 @dataclass(frozen=True)
 class Subject:
-    """Blood as recorded, rates K1 k2 k3 k4 (R, 4), vB (R,), delay of the tissue (min), frames."""
+    """Blood as recorded, rates K1 k2 k3 k4 (R, 4), vB (R,), delay of the tissue (min), frames.
+
+    Regions have several volumes: `noisiness` (R,) is that of each, relative to a usual one.
+    """
 
     blood: Blood
     rates: Array
     vB: Array
     delay: float
     frames: Frames
+    noisiness: Array
 
 
 def draw_subject(rng: np.random.Generator, regions: int, schedules: str = "clinical") -> Subject:
@@ -73,7 +79,8 @@ def draw_subject(rng: np.random.Generator, regions: int, schedules: str = "clini
     frames = Frames(edges[:-1], edges[1:], math.log(2.0) / HALF_LIVES[int(rng.integers(2))])
     rates = np.stack([rng.uniform(*bounds, regions) for bounds in _RATES], axis=1)
     blood = _blood(rng, float(edges[-1]))
-    return Subject(blood, rates, rng.uniform(0.02, 0.08, regions), rng.uniform(-0.1, 0.35), frames)
+    noisiness = np.exp(_UNLIKE * rng.spawn(1)[0].standard_normal(regions))
+    return Subject(blood, rates, rng.uniform(0.02, 0.08, regions), rng.uniform(-0.1, 0.35), frames, noisiness)
 
 
 def _blood(rng: np.random.Generator, end: float) -> Blood:

@@ -99,6 +99,14 @@ def test_noise_has_its_size_share_and_tails(subject: Subject) -> None:
     assert drawn.std() == pytest.approx(1.0, abs=0.02)
     assert (drawn[:, 0] * drawn[:, 1]).mean() == pytest.approx(0.6, abs=0.05)
     assert noise.whiten(drawn * noise.sd).std() == pytest.approx(1.0, abs=0.02)
+    rough = law(observe(subject), subject.frames, 2.0, 0.6, subject.noisiness)
+    np.testing.assert_allclose(rough.sd, subject.noisiness[:, None] * noise.sd)
+
+
+def test_regions_are_not_equally_noisy() -> None:
+    each = np.log([draw_subject(np.random.default_rng(seed), 5).noisiness for seed in range(200)])
+    assert each.std() == pytest.approx(0.2, abs=0.02)
+    assert each.mean() == pytest.approx(0.0, abs=0.02)
 
 
 def test_what_is_beyond_the_others() -> None:

@@ -44,8 +44,11 @@ Array = NDArray[np.float64]
 FULL = ("blood_volume", "arterial_delay", "vascular_trapping", "vascular_release")
 #: What else goes where an effect is withheld: there is nothing to return where nothing is trapped.
 _WITH = {"vascular_trapping": ("vascular_release",)}
-#: Sizes of the blunders: a gain step and the excess of one frame, relative; a clock that is off, s.
-_STEP, _EXCESS, _LATE_S = 0.10, 0.20, 10.0
+#: Sizes of the blunders: a gain step and the excess of one frame, relative; clocks that are off, s.
+_STEP, _EXCESS, _DELAYS = 0.10, 0.20, {"delay+10s": 10.0, "delay-10s": -10.0}
+#: Cases that are made of the full simulator's fit.
+_TWIN, _ERRING, _EXACT = "twin", "erring_record", "erring_record_as_exact"
+_OF_FIT = (_TWIN, _ERRING, _EXACT, *_DELAYS)
 #: An erring record keeps at least this share of what it holds.
 _LEAST = 0.05
 #: The frame and the onset lie in this part of the schedule, drawn by scan.
@@ -125,10 +128,10 @@ def measure_real(
         raise InputError(f"--without {lacking!r}: there are {', '.join(PARTS)}.")
     with without(lacking):
         scans = list(_recordings(folder, subjects, seg, blood))
-        laws = _laws([(scan.full, scan.curves.values) for scan in scans], EFFECTS, 0)
+        fits = _fits(scans) if not only or set(only).intersection(_OF_FIT) else [None] * len(scans)
         studies: dict[tuple[str, str], list[tuple[str, Case]]] = {}
-        for scan, law in zip(scans, laws, strict=True):
-            for case in _cases(scan, law, np.random.default_rng((seed, *scan.label.encode()))):
+        for scan, fit in zip(scans, fits, strict=True):
+            for case in _cases(scan, fit, np.random.default_rng((seed, *scan.label.encode()))):
                 if not only or case.name in only:
                     studies.setdefault((case.name, _label(case.simulator)), []).append((scan.label, case))
         for study in studies.values():
@@ -152,17 +155,13 @@ def _laws(
     return laws_in_common(scans, seed=seed, always=ALWAYS)
 
 
-def _cases(scan: _Recording, law: SharedLaw | None, rng: np.random.Generator) -> Iterator[Case]:
+def _cases(scan: _Recording, fitted: tuple[Fit, Noise] | None, rng: np.random.Generator) -> Iterator[Case]:
+    """All cases of a scan; without its usual fit, none of those that need it."""
     values = scan.curves.values
     rival = (values, scan.full)
-    fit, noise = _usual(scan.full, values, law)[1:]
-    drawn = noise.coloured(rng.standard_normal(values.size))
-    yield Case("twin", "twin", (), fit.values + drawn, scan.full)
-    if len(scan.full.errors):
-        erring = _erring(scan.full, fit, noise, rng.spawn(1)[0])
-        yield Case("twin", "erring_record", (), erring, scan.full)
-        exact = replace(scan.full, errors=np.zeros((0, scan.full.nodes.size)))
-        yield Case("twin", "erring_record_as_exact", (), erring, exact)
+    drawn = rng.standard_normal(values.size)
+    if fitted is not None:
+        yield from _of_fit(scan, *fitted, drawn, rng.spawn(1)[0])
     yield Case("withheld", "nothing", (), values, scan.full)
     for name in ("blood_volume", "vascular_trapping", "vascular_release"):
         yield Case("withheld", name, (name,), values, scan.cut(name), rival)
@@ -178,15 +177,32 @@ def _cases(scan: _Recording, law: SharedLaw | None, rng: np.random.Generator) ->
             replace(scan.full, input=bare, measured=frozenset(), errors=errors_of(bare, scan.full.nodes, scan.blood)),
             rival,
         )
-    timed = scan.cut("arterial_delay")
-    fitted_s = float(fit.state.shared[0]) * width(effect_named("arterial_delay"))
-    for late in (_LATE_S, -_LATE_S):
-        moved = replace(timed, input=record.delayed((fitted_s + late) / SECONDS_PER_MINUTE))
-        yield Case("withheld", f"delay{late:+.0f}s", ("arterial_delay", "frame_offset"), values, moved, rival)
     for name, blunder in _BLUNDERS.items():
         factor = blunder(scan.full.clock, rng)
         for simulator in (scan.full, scan.cut("vascular_trapping")):
             yield Case("blunder", name, (name,), values * factor, simulator, (values, simulator), factor)
+
+
+def _of_fit(scan: _Recording, fit: Fit, noise: Noise, drawn: Array, rng: np.random.Generator) -> Iterator[Case]:
+    """Twins, and clocks that are late or early by the delay that was fitted and more."""
+    values = scan.curves.values
+    yield Case("twin", _TWIN, (), fit.values + noise.coloured(drawn), scan.full)
+    if len(scan.full.errors):
+        erring = _erring(scan.full, fit, noise, rng)
+        yield Case("twin", _ERRING, (), erring, scan.full)
+        exact = replace(scan.full, errors=np.zeros((0, scan.full.nodes.size)))
+        yield Case("twin", _EXACT, (), erring, exact)
+    timed = scan.cut("arterial_delay")
+    fitted_s = float(fit.state.shared[0]) * width(effect_named("arterial_delay"))
+    for name, late in _DELAYS.items():
+        moved = replace(timed, input=scan.full.input.delayed((fitted_s + late) / SECONDS_PER_MINUTE))
+        yield Case("withheld", name, ("arterial_delay", "frame_offset"), values, moved, (values, scan.full))
+
+
+def _fits(scans: Sequence[_Recording]) -> list[tuple[Fit, Noise]]:
+    """The fit of every full simulator, and the noise about it under the law that all scans tell."""
+    laws = _laws([(scan.full, scan.curves.values) for scan in scans], EFFECTS, 0)
+    return [_usual(scan.full, scan.curves.values, law)[1:] for scan, law in zip(scans, laws, strict=True)]
 
 
 def _usual(

@@ -52,7 +52,7 @@ def pairs(
     """Likely pairs, fully refitted; best first; none of one hypothesis alone."""
     if len(leaders) < 2:
         return []
-    best = leaders[0].log_evidence
+    best = max(leader.bare for leader in leaders)
     beside, jointly = _beside(scan, leaders), _jointly(scan, base.residual)
     alone = {leader.label: leader for leader in leaders if leader.fit is not None}
     found: dict[tuple[str, ...], Candidate] = {}
@@ -61,7 +61,7 @@ def pairs(
         if pair.names not in found or pair.log_evidence > found[pair.names].log_evidence:
             found[pair.names] = pair
     first = max(found.values(), key=lambda c: c.log_evidence, default=None)
-    if first is not None and first.log_evidence > best:
+    if first is not None and first.log_evidence > leaders[0].log_evidence:
         akin = {key: w for key, w in (jointly | beside).items() if key not in found and set(key) & set(first.names)}
         for wanted in _likeliest(akin, best, _AKIN):
             pair = _refitted(simulator, data, noise, base, wanted, alone)
@@ -85,7 +85,7 @@ def _refitted(
     pair = refitted(simulator, data, noise, base, start)
     pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
     second = _second(noise, first, pair, len(simulator.channels)) - wanted.excess
-    second = halfway(second, wanted.score - first.log_evidence, terms[-1:])
+    second = halfway(second, wanted.score - first.bare, terms[-1:])
     return replace(pair, log_evidence=first.log_evidence + second - SECOND)
 
 
@@ -128,10 +128,10 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
     the simulator's own fit; only what they are projected off is each leader's.
     """
     wanted: dict[tuple[str, ...], _Wanted] = {}
-    best = leaders[0].log_evidence
+    best = max(leader.bare for leader in leaders)
     for leader in leaders:
         fit = leader.fit
-        if fit is None or leader.log_evidence + 0.5 * excess(fit) < best - _WITHIN:
+        if fit is None or leader.bare + 0.5 * excess(fit) < best - _WITHIN:
             continue
         others = [t for t in scan.templates if t.hypothesis.name not in leader.names]
         projection = Projection.of_fit(fit)
@@ -141,7 +141,7 @@ def _beside(scan: Scan, leaders: Sequence[Candidate]) -> dict[tuple[str, ...], _
             key = tuple(sorted((*leader.names, name)))
             term = starts(second, residual, each, name)[0]
             more = foreknown((*leader.terms, term)) - foreknown(leader.terms)
-            score = leader.log_evidence + float(value) + more
+            score = leader.bare + float(value) + more
             if key not in wanted:  # from the stronger of the two: evidence that goes by the weaker one is not the same
                 wanted[key] = _Wanted(score, (*leader.terms, term), leader, second.excess(each, name))
     return wanted

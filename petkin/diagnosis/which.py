@@ -59,6 +59,11 @@ class Candidate:
     def label(self) -> str:
         return "+".join(self.names)
 
+    @property
+    def bare(self) -> float:
+        """log evidence where no noise of single channels is in it: what else explains that is not counted twice."""
+        return self.log_evidence - self.spared
+
 
 def singles(
     simulator: Simulator, data: Array, noise: Noise, base: Fit, scan: Scan, always: frozenset[str] = frozenset()

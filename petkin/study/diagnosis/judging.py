@@ -223,8 +223,12 @@ def laws_in_common(
 
 
 def _beyond_noise(simulator: RegionalSimulator, likeliest: Diagnosis) -> bool:
-    """Whether a gap explains more than any law in its place: a missing delay makes early frames uneven, not noisy."""
-    explained = max(likeliest.unknown_evidence, likeliest.causes[0].log_evidence)
+    """Whether a gap explains more than any law in its place: a missing delay makes early frames uneven, not noisy.
+
+    A law is in place of noise of single channels as well, so that both are held against a simulator of sure noise.
+    """
+    spared = likeliest.noise.spared(likeliest.base.residual, likeliest.base.freedom)
+    explained = max(likeliest.unknown_evidence, likeliest.causes[0].log_evidence) + spared
     return explained >= max(_STRONG, evidence_without_gap(simulator, likeliest.base) + _BEYOND)
 
 

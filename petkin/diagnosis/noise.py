@@ -20,7 +20,8 @@ _MOST_FACTOR = 0.6
 _SMALLER = 1.2
 #: Variance of ln s^2 times its degrees of freedom: 2 of independent normal values, more since tails may be heavy.
 _SCATTER = 3.0
-#: Share of second differences that counts as degrees of freedom: neighbours correlate by -2/3 and 1/6.
+#: Share of second differences that counts as degrees of freedom, 1 / (1 + 2 sum r^2): neighbours correlate by -2/3 and
+#: 1/6. Reference: Bartlett MS. J R Stat Soc 1935;98:536-543.
 _FREE = 1.0 / (1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2))
 #: Variance of ln s^2 between channels before any data, and as that of how many channels it counts: their noise differs
 #: by a fifth, as where regions are of several volumes.

@@ -195,7 +195,7 @@ def _explained(simulator: Simulator, data: Array, first: _Explained, always: fro
     noise, base, scan = first.noise, first.base, first.scan
     found = singles(simulator, data, noise, base, scan, always)
     leader = found[0]
-    if leader.log_evidence - spared(noise, base) > _SURE and leader.fit is not None:
+    if leader.log_evidence > _SURE and leader.fit is not None:
         quieter = _quieter(simulator, data, noise, base, leader.fit)
         if quieter is not noise:
             noise = quieter
@@ -203,9 +203,7 @@ def _explained(simulator: Simulator, data: Array, first: _Explained, always: fro
             scan = _scan([t.under(noise) for t in scan.templates], simulator, noise, base)
             found = again(simulator, data, noise, base, scan, found)
     double = pairs(simulator, data, noise, base, scan, found) if found[0].log_evidence > 1.0 else []
-    none = spared(noise, base)
-    ranked = [replace(c, log_evidence=c.log_evidence - none) for c in (*found, *double)]
-    return _Explained(noise, base, scan, sorted(ranked, key=lambda c: -c.log_evidence))
+    return _Explained(noise, base, scan, sorted((*found, *double), key=lambda c: -c.log_evidence))
 
 
 def _quieter(simulator: Simulator, data: Array, noise: Noise, base: Fit, fit: Fit) -> Noise:
@@ -236,7 +234,10 @@ def _verdict(
     if elsewhere is not None:
         unnamed, place, lapse = elsewhere.joined(unnamed), elsewhere.place(unnamed, place), LAPSE_WITHIN
     left_by = {c.label: left for c, left in zip(ranked, left_beside(simulator, noise, ranked, elsewhere), strict=True)}
-    named = {c.label: beside(c.log_evidence, left_by[c.label], c.spared) for c in ranked}
+    named = {
+        c.label: beside(c.log_evidence, left_by[c.label], 0.0 if c.fit is None else spared(noise, c.fit))
+        for c in ranked
+    }
     probability, unknown = probabilities(named, unnamed, lapse=lapse)
     listed = [c for c in ranked if probability[c.label] > _NEGLIGIBLE][:_LISTED] or ranked[:1]
     listed = sorted(listed, key=lambda c: -probability[c.label])

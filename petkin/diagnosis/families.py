@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lu_factor, lu_solve
+from scipy.linalg import solve_triangular
 
 Array = NDArray[np.float64]
 
 #: The least whose square is not zero.
 _TINY = 1e-150
+#: Relative error of a product of two rows.
+_ROUNDING = 1e-16
 #: Shares of the usual size that are tried.
 _SHARES = (0.1, 0.2, 0.4, 0.7, 1.2)
 
@@ -38,12 +40,12 @@ class Family:
 
 
 def scored(family: Family, columns: Array, least: float) -> tuple[Array, Array]:
-    """E C^{-1} c and E C^{-1} E' of columns E (m, J K), by Woodbury's identity: N has fewer rows than C.
+    """E C^{-1} c and E C^{-1} E' of columns E (m, J K).
 
     No mixture of rows has noise of a standard deviation below `least`.
     """
-    seen, rows, free = _freed(family, columns, least)
-    return free @ rows, free @ seen.T
+    told = _told(family, columns, least)
+    return told[:-1, -1], told[:-1, :-1]
 
 
 def misfit(family: Family, column: Array, least: float) -> float:
@@ -51,20 +53,23 @@ def misfit(family: Family, column: Array, least: float) -> float:
 
     (c' C^{-1} c - (e' C^{-1} c)^2 / e' C^{-1} e) / (J K - 1)
     """
-    both = np.stack([column.ravel(), family.rows.ravel()])
-    seen, rows, free = _freed(family, both, least)
-    (known, shared), (_, whole) = free @ seen.T
+    (known, shared), (_, whole) = _told(family, column, least)
     left = whole - shared**2 / known if known > 0 else whole
-    return float(left) / max(rows.size - 1, 1)
+    return float(left) / max(family.rows.size - 1, 1)
 
 
-def _freed(family: Family, columns: Array, least: float) -> tuple[Array, Array, Array]:
-    """Whitened columns (m, J K), whitened rows (J K,), and columns that see no more of the nuisance than is likely."""
+def _told(family: Family, columns: Array, least: float) -> Array:
+    """E C^{-1} E' of columns and, after them, of the rows themselves (m + 1, m + 1), by Woodbury's identity:
+
+        E V^{-1} E' - Y' Y,   L Y = N V^{-1} E',   L L' = 1 + N V^{-1} N'
+
+    N has fewer rows than C.
+    """
     whitened = _whitening(family, least)
-    rows, nuisance = whitened(family.rows[None])[0], whitened(family.nuisance)
-    seen = whitened(columns.reshape(-1, *family.rows.shape))
-    inner = np.eye(len(nuisance)) + nuisance @ nuisance.T
-    return seen, rows, seen - np.linalg.solve(inner, nuisance @ seen.T).T @ nuisance
+    seen = whitened(np.concatenate([columns.reshape(-1, *family.rows.shape), family.rows[None]]))
+    nuisance = whitened(family.nuisance)
+    hidden = _beneath(_factor(nuisance @ nuisance.T), nuisance @ seen.T)
+    return seen @ seen.T - hidden.T @ hidden
 
 
 def holding(family: Family, further: Array, least: float, *, times: float) -> Family:
@@ -77,30 +82,38 @@ def holding(family: Family, further: Array, least: float, *, times: float) -> Fa
         times: more than 1 where few rows tell the share, or it differs between them.
     """
     whitened = _whitening(family, least)
-    rows, nuisance = whitened(family.rows[None])[0], whitened(np.concatenate([family.nuisance, further]))
-    inner, held = nuisance @ nuisance.T, nuisance @ rows
-
-    def likely(share: float) -> float:
-        size = np.repeat([1.0, share], [len(family.nuisance), len(further)])
-        return likelihood(rows, size[:, None] * inner * size, size * held)
-
-    share = times * max(_SHARES, key=likely)
+    rows, held, more = whitened(family.rows[None])[0], whitened(family.nuisance), whitened(further)
+    factor = _factor(held @ held.T)
+    both = _beneath(factor, held @ np.column_stack([more.T, rows]))
+    beyond = more @ more.T - both[:, :-1].T @ both[:, :-1]
+    left = more @ rows - both[:, :-1].T @ both[:, -1]
+    share = times * max(_SHARES, key=lambda share: _gained(share * left, share**2 * beyond))
     return replace(family, nuisance=np.concatenate([family.nuisance, share * further]))
 
 
-def likelihood(rows: Array, inner: Array, held: Array) -> float:
-    """Log likelihood of rows without any effect, but for a constant of their noise:
+def _gained(seen: Array, inner: Array) -> float:
+    """Log likelihood of rows that hold M besides, less that of none of it:
 
-        -(c' C^{-1} c + log |1 + N V^{-1} N'|) / 2
+        (s' (1 + I)^{-1} s - log |1 + I|) / 2,   s = M C^{-1} c,   I = M C^{-1} M'
 
     Args:
-        rows: c, whitened (J K,).
-        inner: N V^{-1} N' (n, n).
-        held: N V^{-1} c (n,).
+        seen: s (n,).
+        inner: I (n, n).
     """
-    factors = lu_factor(np.eye(len(inner)) + inner)
-    square = rows @ rows - held @ lu_solve(factors, held)
-    return float(-0.5 * (square + np.log(np.abs(np.diag(factors[0]))).sum()))
+    factor = _factor(inner)
+    square = float((_beneath(factor, seen) ** 2).sum())
+    return 0.5 * square - float(np.log(np.diag(factor)).sum())
+
+
+def _factor(inner: Array) -> Array:
+    """L of L L' = 1 + I; so that rounding makes no square negative, 1 is no less than what it rounds I by."""
+    least = max(1.0, inner.shape[0] * _ROUNDING * float(np.diag(inner).max(initial=0.0)))
+    return np.asarray(np.linalg.cholesky(inner + least * np.eye(len(inner))), np.float64)
+
+
+def _beneath(factor: Array, columns: Array) -> Array:
+    """L^{-1} columns."""
+    return np.asarray(solve_triangular(factor, columns, lower=True, check_finite=False), np.float64)
 
 
 def _whitening(family: Family, least: float) -> Callable[[Array], Array]:

@@ -22,7 +22,7 @@ from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit, begun
 from petkin.diagnosis.scan import Scan, Template, starts
-from petkin.diagnosis.which import Candidate, after_refit, as_promised, excess, halfway, refitted, spared
+from petkin.diagnosis.which import Candidate, after_refit, as_promised, excess, halfway, refitted
 
 Array = NDArray[np.float64]
 
@@ -84,9 +84,9 @@ def _refitted(
     start = begun(simulator, data, noise, first.fit, terms[-1:])
     pair = refitted(simulator, data, noise, base, start)
     pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
-    second = _second(noise, first, pair, len(simulator.channels)) - wanted.excess
+    second = _second(first, pair, len(simulator.channels)) - wanted.excess
     second = halfway(second, wanted.score - first.bare, terms[-1:])
-    return replace(pair, log_evidence=first.log_evidence + second - SECOND)
+    return replace(pair, log_evidence=first.bare + second + pair.spared - SECOND)
 
 
 def _refitted_jointly(
@@ -106,17 +106,17 @@ def _refitted_jointly(
     start = begun(simulator, data, noise, base, terms)
     pair = refitted(simulator, data, noise, base, start)
     pair = as_promised(simulator, data, noise, base, pair, terms, wanted.score)
-    value = halfway(pair.log_evidence - wanted.excess, wanted.score, terms)
+    value = halfway(pair.bare - wanted.excess, wanted.score, terms)
     if first is not None:
-        value = min(value, first.log_evidence + _second(noise, first, pair, len(simulator.channels)))
-    return replace(pair, log_evidence=value - SECOND)
+        value = min(value, first.bare + _second(first, pair, len(simulator.channels)))
+    return replace(pair, log_evidence=value + pair.spared - SECOND)
 
 
-def _second(noise: Noise, first: Candidate, pair: Candidate, channels: int) -> float:
-    """What the second effect of a pair adds to the log evidence of the first."""
+def _second(first: Candidate, pair: Candidate, channels: int) -> float:
+    """What the second effect of a pair adds to the log evidence of the first, but for noise of single channels."""
     assert first.fit is not None
     assert pair.fit is not None
-    more = foreknown(pair.terms) - foreknown(first.terms) + spared(noise, pair.fit) - spared(noise, first.fit)
+    more = foreknown(pair.terms) - foreknown(first.terms)
     return after_refit(first.fit, pair.fit, channels, len(first.fit.state.terms)) + more
 
 

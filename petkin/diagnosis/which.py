@@ -42,10 +42,10 @@ class Candidate:
     Args:
         names: of one or two hypotheses, sorted.
         fit: the refit.
-        log_evidence: against no effect; `spared` of that fit is in it until all have been found.
+        log_evidence: against no effect.
         gain: fall of the objective.
         terms: what was fitted.
-        spared: what of the log evidence is that what it leaves may be the noise of single channels.
+        spared: how much of that is since what it leaves is likelier the noise of single channels than the whole gap is.
     """
 
     names: tuple[str, ...]
@@ -61,7 +61,8 @@ class Candidate:
 
     @property
     def bare(self) -> float:
-        """log evidence where no noise of single channels is in it: what else explains that is not counted twice."""
+        """log evidence where no noise of single channels is in it, as the scan has it: what else explains that is not
+        counted twice."""
         return self.log_evidence - self.spared
 
 
@@ -71,7 +72,8 @@ def singles(
     """Every hypothesis with its evidence, the promising ones after a full refit; best first.
 
     A refit begins anew at other settings, unless it holds what the scan promised and that is far behind the best; one
-    that is far behind after its first steps is not followed, unless it is a flag's, which begins at full strength.
+    that is far behind after its first steps, and falls slowly, is not followed. A flag's is: it begins at full
+    strength, and has the whole way before it.
 
     Who is refitted goes by what the best refit reached, where that is less than the scan promised of it.
 
@@ -108,9 +110,10 @@ def singles(
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
         near = max(tried, key=lambda c: c.gain)
         promised = by_name[name] + foreknown(terms[:1])
-        near = as_promised(simulator, data, noise, base, near, (terms[0],), promised)
+        least = -np.inf if patient else ahead
+        near = as_promised(simulator, data, noise, base, near, (terms[0],), promised, least)
         far = name in always or (name in flags and blatant)
-        near = _from_afar(simulator, data, noise, base, near) if far else near
+        near = _from_afar(simulator, data, noise, base, near, least) if far else near
         found.append(_averaged(near, scan, each, by_name[name]))
     return _with_rest(found, by_name)
 
@@ -140,19 +143,20 @@ def again(
     likely = [c for c in before if c.fit is not None and c.log_evidence > least]
     renewed = (refitted(simulator, data, noise, base, c.fit.state) for c in likely if c.fit is not None)
     found = [_averaged(c, scan, each, by_name[c.names[0]]) for c in renewed]
-    known = {c.names[0]: c.log_evidence for c in before if c.fit is not None}
+    known = {c.names[0]: c.bare for c in before if c.fit is not None}
     return _with_rest(found, by_name | known)
 
 
 def _with_rest(found: list[Candidate], by_name: dict[str, float]) -> list[Candidate]:
     """Those with a fit, and below them those that only the scan has judged."""
-    top = max(c.log_evidence for c in found)
+    top = max(found, key=lambda c: c.log_evidence)
     fitted = {c.names[0] for c in found}
-    rest = [Candidate((n,), None, min(value, top - _BELOW)) for n, value in by_name.items() if n not in fitted]
+    behind = {name: max(top.bare - value, _BELOW) for name, value in by_name.items() if name not in fitted}
+    rest = [Candidate((name,), None, top.log_evidence - by) for name, by in behind.items()]
     return sorted([*found, *rest], key=lambda c: -c.log_evidence)
 
 
-def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near: Candidate) -> Candidate:
+def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near: Candidate, ahead: float) -> Candidate:
     """The best of a refit that began at the simulator's own fit and others, from its usual values at full strength.
 
     Near the simulator's own fit what is strong and bends may end in a side valley, however little it gains there.
@@ -166,29 +170,38 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
         middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
         term = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
     terms = (*base.state.terms, term)
-    found = [refitted(simulator, data, noise, base, replace(base.state, own=own, terms=terms)) for own in places]
+    states = [replace(base.state, own=own, terms=terms) for own in places]
+    found = [refitted(simulator, data, noise, base, state, ahead) for state in states]
     return max(near, *found, key=lambda c: c.gain)
 
 
 def as_promised(
-    simulator: Simulator, data: Array, noise: Noise, base: Fit, found: Candidate, terms: tuple[Term, ...], score: float
+    simulator: Simulator,
+    data: Array,
+    noise: Noise,
+    base: Fit,
+    found: Candidate,
+    terms: tuple[Term, ...],
+    score: float,
+    ahead: float = -np.inf,
 ) -> Candidate:
     """A refit, or a better one that began at the simulator's usual values with the terms as the scan has them.
 
     That is tried where the refit holds far less than the score that the scan gave it: a strong gap drives the
     simulator's own fit far off, from where the way may lead into a side valley.
     """
-    if found.log_evidence > score - _APART:
+    if found.bare > score - _APART:
         return found
     start = State(simulator.starts[0], base.state.shared, (*base.state.terms, *terms))
-    other = refitted(simulator, data, noise, base, start)
+    other = refitted(simulator, data, noise, base, start, ahead)
     return other if other.gain > found.gain else found
 
 
 def _averaged(candidate: Candidate, scan: Scan, each: Array, linear: float) -> Candidate:
     """Less what choosing the best setting gained over an average one, and halfway to what the scan says."""
-    value = candidate.log_evidence - scan.excess(each, candidate.names[0])
-    return replace(candidate, log_evidence=halfway(value, linear + foreknown(candidate.terms), candidate.terms))
+    value = candidate.bare - scan.excess(each, candidate.names[0])
+    value = halfway(value, linear + foreknown(candidate.terms), candidate.terms)
+    return replace(candidate, log_evidence=value + candidate.spared)
 
 
 def halfway(refitted: float, linear: float, terms: tuple[Term, ...]) -> float:
@@ -218,10 +231,11 @@ def refitted(
         if one.objective < fit.objective:  # one number went further than as many: they stood in a side valley
             many = refit(simulator, data, noise, _as_many(one, fit), iterations=_STEPS, renewed=_RENEWED)
             fit = min(fit, many, key=lambda f: f.objective)
-    noisy = spared(noise, fit)
+    none = spared(noise, base)
+    noisy = spared(noise, fit) - none
     value = after_refit(base, fit, channels, known) + noisy
     if one is not None:
-        other = after_refit(base, one, channels, known) + spared(noise, one)
+        other = after_refit(base, one, channels, known) + spared(noise, one) - none
         value = float(np.logaddexp(value, other) - np.log(2.0))
     terms = fit.state.terms[known:]
     names = tuple(sorted(t.hypothesis.name for t in terms))
@@ -268,7 +282,8 @@ def columns_of(fit: Fit, channels: int, known: int) -> list[dict[str, slice]]:
 
 
 def after_refit(base: Fit, fit: Fit, channels: int, known: int) -> float:
-    """Half the gain, less what averaging over amplitudes costs, less the change of the nuisance's volume."""
+    """Half the gain, less what averaging over amplitudes and over each channel's own shapes costs, less the change of
+    the nuisance's volume."""
     gain = base.objective - fit.objective
     size = base.jacobian.shape[1]
     total = 0.5 * gain if all(t.hypothesis.flag for t in fit.state.terms[known:]) else 0.0
@@ -277,6 +292,7 @@ def after_refit(base: Fit, fit: Fit, channels: int, known: int) -> float:
     for term, place in moving:
         total += _averaging(term, fit, place, max(gain, 0.0) / len(moving))
     total = min(total, 0.5 * gain)  # an average is no larger than the best, however far the refit is from a minimum
+    total -= sum(_apart(term, fit, mine) for term, mine in zip(fit.state.terms[known:], places))
     volume = _log_volume(fit.jacobian[:, :size], fit.penalty[:size]) - _log_volume(base.jacobian, base.penalty)
     return total - float(np.clip(0.5 * volume, -_MOST_OCCAM, _MOST_OCCAM))
 
@@ -298,6 +314,19 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
     if hypothesis.alike:  # how far they differ counts by what that gains: where amplitudes are strong it is not linear
         return float(spread.about(np.sqrt(gain / max(linear, 1e-300)) * score, hypothesis.signed))
     return float(spread.by_channel(score, False, hypothesis.signed)) + 0.5 * (gain - linear)
+
+
+def _apart(term: Term, fit: Fit, places: dict[str, slice]) -> float:
+    """What shapes cost that every channel has for itself, beside one that all have: ln of the prior's width over the
+    error, a channel but for one."""
+    cost = 0.0
+    for shape in term.hypothesis.shapes:
+        if shape.by_channel:
+            place = places[shape.symbol]
+            count = place.stop - place.start
+            told = informed(fit, place, fit.jacobian[:, place]) * shape.sd**2
+            cost += 0.5 * float(np.linalg.slogdet(told)[1]) * (count - 1) / count
+    return cost
 
 
 def informed(fit: Fit, place: slice, columns: Array) -> Array:

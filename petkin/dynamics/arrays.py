@@ -15,7 +15,11 @@ import numpy as np
 def library(*numbers: Any) -> Any:
     """torch where one of these is a tensor, numpy otherwise."""
     torch = sys.modules.get("torch")
-    return torch if torch is not None and any(isinstance(x, torch.Tensor) for x in numbers) else np
+    if torch is not None:
+        for x in numbers:
+            if isinstance(x, torch.Tensor):
+                return torch
+    return np
 
 
 def alike(*numbers: Any) -> tuple[Any, ...]:

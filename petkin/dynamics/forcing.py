@@ -19,7 +19,7 @@ import numpy as np
 
 from petkin.dynamics.arrays import alike, library
 from petkin.dynamics.exponential import exp_divided_difference
-from petkin.dynamics.recurrence import linear_recurrence
+from petkin.dynamics.recurrence import at_knots, linear_recurrence
 from petkin.errors import InputError
 
 if TYPE_CHECKING:
@@ -95,6 +95,8 @@ class PiecewiseLinear:
 
     def __call__(self, t: Array) -> Any:
         lines, t = self._beside(t)
+        if lines._xp is np and lines.values.ndim == 1:
+            return np.interp(t, lines.times, lines.values, left=0.0)
         piece = lines._piece(t)
         return (lines.values[..., piece.index] + lines._slopes[..., piece.index] * piece.elapsed) * piece.started
 
@@ -107,6 +109,10 @@ class PiecewiseLinear:
 
     def response(self, rates: Array, t: Array) -> Any:
         lines, a, t = self._beside(rates, t)
+        if t is lines.times:
+            if lines._xp is np and lines.values.ndim == 1:
+                return at_knots(t, lines.values, a.ravel()).reshape(*a.shape, t.size)
+            return lines._at_knots(a[..., None])
         a, piece = a[..., None], lines._piece(t)
         carried = lines._at_knots(a)[..., piece.index] * lines._xp.exp(-a * piece.elapsed)
         return (carried + lines._fresh(a, piece.elapsed, piece.index)) * piece.started

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -121,11 +122,8 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
     before, end = model.input, _end(model)
     if course != BY_TIME and before.parent_fraction is None:
         raise InputError(f"parent_fraction: course={course:g}: there is no parent fraction in this blood; give 0.")
-    fraction = before.parent_fraction or PiecewiseLinear(np.array([0.0, end]), np.ones(2))
-    record, delay = (fraction.forcing, float(fraction.delay)) if isinstance(fraction, Shifted) else (fraction, 0.0)
-    scan = np.linspace(0.0, float(model.clock.frames.end[-1]) - delay, 512)
-    most = _of_metabolites(record(scan), course)
-    most = float(most[abs(most).argmax()]) or 1e-12
+    fraction = before.parent_fraction or _all_parent(end)
+    most = _most_of_metabolites(fraction, course, float(model.clock.frames.end[-1]))
 
     def kept(forcing: Forcing, fraction: Forcing, end: float) -> Forcing:
         if isinstance(forcing, Shifted):
@@ -139,15 +137,32 @@ def _metabolised(model: ForwardModel, values: Mapping[str, Any]) -> ForwardModel
             return PiecewiseLinear(curve.times, before * (1.0 - lost * t**2 / (t**2 + late**2)))
         return PiecewiseLinear(curve.times, before * _left(share, lost, course, most))
 
-    finer = PiecewiseLinear(t := np.linspace(0.0, end, 512), fraction(t))
     changed = replace(
         before,
         plasma=kept(before.plasma, fraction, end),
         total_plasma=before.total_plasma or before.plasma,
-        parent_fraction=kept(finer, fraction, end),
+        parent_fraction=kept(_finely(fraction, end), fraction, end),
         parent_fraction_fit=None,
     )
     return replace(model, input=changed)
+
+
+@lru_cache(maxsize=8)
+def _all_parent(end: float) -> Forcing:
+    return PiecewiseLinear(np.array([0.0, end]), np.ones(2))
+
+
+@lru_cache(maxsize=8)
+def _finely(fraction: Forcing, end: float) -> Forcing:
+    return PiecewiseLinear(t := np.linspace(0.0, end, 512), fraction(t))
+
+
+@lru_cache(maxsize=32)
+def _most_of_metabolites(fraction: Forcing, course: float, end: float) -> float:
+    """The largest h of a record until the end of a scan, with its sign."""
+    record, delay = (fraction.forcing, float(fraction.delay)) if isinstance(fraction, Shifted) else (fraction, 0.0)
+    h = _of_metabolites(record(np.linspace(0.0, end - delay, 512)), course)
+    return float(h[abs(h).argmax()]) or 1e-12
 
 
 def _of_metabolites(fraction: Any, course: float) -> Any:

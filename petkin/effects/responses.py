@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from petkin.dynamics import Forcing, Shifted
+from petkin.dynamics.recurrence import step
 from petkin.imaging import FrameObservation
 from petkin.inputs import InputFunction
 from petkin.jit import njit
@@ -185,26 +186,12 @@ def _march(forcing: Forcing, delay: float, decay: float, nodes: bytes) -> _March
 
 
 @njit()
-def _step(a, d):
-    """What a step of length d keeps of y, and what it adds per first and last value of a straight input:
-
-    e^{-a d},   int_0^d e^{-a (d - s)} (1 - s / d) ds,   int_0^d e^{-a (d - s)} s / d ds
-    """
-    x = a * d
-    if x < 1e-3:
-        return np.exp(-x), d * (0.5 - x / 3.0 + x * x / 8.0), d * (0.5 - x / 6.0 + x * x / 24.0)
-    gone = -np.expm1(-x)
-    ramp = (x - gone) / (x * x)
-    return 1.0 - gone, d * (gone / x - ramp), d * ramp
-
-
-@njit()
 def _weigh(times, rates):
     """The steps between nodes for every rate (steps, rates, 3)."""
     found = np.empty((times.size - 1, rates.size, 3))
     for i in range(times.size - 1):
         for r in range(rates.size):
-            found[i, r] = _step(rates[r], times[i + 1] - times[i])
+            found[i, r] = step(rates[r], times[i + 1] - times[i])
     return found
 
 
@@ -236,7 +223,7 @@ def _reach(times, u, y, area, rates, t, found):
     if i + 1 < times.size:
         here = u[i] + (u[i + 1] - u[i]) * d / (times[i + 1] - times[i])
     for r in range(rates.size):
-        kept, first, last = _step(rates[r], d)
+        kept, first, last = step(rates[r], d)
         found[r] = kept * y[i, r] + first * u[i] + last * here
     found[-1] = area[i] + 0.5 * d * (u[i] + here)
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from petkin.diagnosis import Family, Pattern, holding, judge_contrasts
-from petkin.diagnosis.families import _whitening, likelihood, misfit, scored
+from petkin.diagnosis.families import _gained, _whitening, misfit, scored
 
 ROWS, SAMPLES = 3, 15
 
@@ -51,15 +51,30 @@ def test_p_values_of_noise_are_uniform(nuisance: np.ndarray, noise: np.ndarray) 
 @pytest.mark.parametrize("noise", [np.eye(ROWS), SHARED])
 @pytest.mark.parametrize("nuisance", [APART, TOGETHER])
 def test_likelihood_is_that_of_a_normal_distribution(nuisance: np.ndarray, noise: np.ndarray) -> None:
-    """But for what noise alone has at 0."""
+    """How much likelier rows are that may hold it than rows of noise."""
     rows = np.random.default_rng(2).standard_normal((ROWS, SAMPLES))
     alone = np.kron(noise, np.eye(SAMPLES))
     flat = nuisance.reshape(len(nuisance), -1)
-    expected = multivariate_normal(cov=alone + flat.T @ flat).logpdf(rows.ravel())
-    constant = multivariate_normal(cov=alone).logpdf(np.zeros(rows.size))
+    held, none = (multivariate_normal(cov=cov).logpdf(rows.ravel()) for cov in (alone + flat.T @ flat, alone))
     whitened = _whitening(Family(rows, nuisance, noise), 1e-9)
     (white,), beside = whitened(rows[None]), whitened(nuisance)
-    assert likelihood(white, beside @ beside.T, beside @ white) == pytest.approx(expected - constant, rel=1e-9)
+    assert _gained(beside @ white, beside @ beside.T) == pytest.approx(held - none, rel=1e-9)
+
+
+@pytest.mark.parametrize("noise", [np.eye(ROWS), SHARED])
+@pytest.mark.parametrize("times", [1.0, 30.0, 1e5])
+def test_scores_are_those_of_the_whole_covariance(noise: np.ndarray, times: float) -> None:
+    """As its singular values give them, however large nuisance is, and though some of its columns are nearly alike."""
+    rng = np.random.default_rng(4)
+    rows, columns = rng.standard_normal((ROWS, SAMPLES)), rng.standard_normal((2, ROWS * SAMPLES))
+    nuisance = times * np.concatenate([APART, TOGETHER, APART * np.linspace(0.9, 1.1, SAMPLES)])
+    white = np.linalg.inv(np.kron(np.linalg.cholesky(noise), np.eye(SAMPLES)))
+    axes, size, _ = np.linalg.svd(white @ nuisance.reshape(len(nuisance), -1).T)
+    size = np.pad(size, (0, len(axes) - len(size)))
+    seen, shown = axes.T @ white @ columns.T, axes.T @ white @ rows.ravel()
+    score, information = scored(Family(rows, nuisance, noise), columns, 1e-9)
+    np.testing.assert_allclose(score, seen.T @ (shown / (1.0 + size**2)), rtol=1e-6)
+    np.testing.assert_allclose(information, (seen.T / (1.0 + size**2)) @ seen, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("mixed", "least", "most"), [(0.0, 0.1, 0.1), (0.3, 0.2, 0.4), (5.0, 1.2, 1.2)])

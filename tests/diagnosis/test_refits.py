@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
 
-from petkin.diagnosis import Term
+from petkin.diagnosis import Shape, Term
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.diagnose import _Explained, _explained, scan_of
 from petkin.diagnosis.nominal import base_fit
-from petkin.diagnosis.refit import State, _within, refit
+from petkin.diagnosis.refit import Fit, State, _within, refit
 from petkin.diagnosis.scan import Scan, starts
-from petkin.diagnosis.which import after_refit, as_promised, halfway, refitted
+from petkin.diagnosis.which import Candidate, _apart, _with_rest, after_refit, as_promised, halfway, refitted
 
 from .decaying_channels import AVERAGED, HYPOTHESES, TRUTH, DecayingChannels, hypothesis, measured
 
@@ -66,6 +68,30 @@ def test_a_refit_that_failed_is_no_evidence() -> None:
     gain = base.objective - left.objective
     assert gain < 0
     assert after_refit(base, left, len(simulator.channels), 0) <= 0.5 * gain + 4.0  # what volumes may add
+
+
+def test_what_is_not_refitted_is_held_against_the_best_as_the_scan_has_both() -> None:
+    """Without what the best is spared since its residual may be noise of single channels, which no scan knows."""
+    best = Candidate(("a",), None, 100.0, spared=-50.0)
+    ranked = {c.label: c.log_evidence for c in _with_rest([best], {"a": 160.0, "b": 120.0, "c": 149.0})}
+    assert ranked == {"a": 100.0, "c": 97.0, "b": 70.0}
+
+
+def test_shapes_of_each_channel_cost_what_their_prior_loses() -> None:
+    """ln of the mean of a likelihood over priors of the shapes, less that of the best, for all channels but one."""
+    rng, sd = np.random.default_rng(5), 0.7
+    pitch = replace(hypothesis("ripple"), by_channel=True, shapes=(Shape("pitch", 0.5, 6.0, by_channel=True, sd=sd),))
+    term = Term(pitch, np.full(3, 0.2), {"pitch": np.full(3, 2.0)})
+    columns = np.zeros((3, 3, 8))
+    columns[range(3), range(3)] = np.array([[0.3], [2.0], [9.0]]) * rng.standard_normal((3, 8)) / 8**0.5
+    jacobian = np.concatenate([np.zeros((24, 3)), columns.reshape(3, 24).T], axis=1)
+    penalty = np.array([1.0, 1.0, 1.0, *[sd**-2.0] * 3])
+    state = State(np.zeros((3, 0)), np.zeros(0), (term,))
+    fit = Fit(state, np.zeros((3, 8)), np.zeros(24), penalty, np.zeros(6), 0.0, jacobian, 0)
+    told = (jacobian[:, 3:] ** 2).sum(axis=0)
+    each = [quad(lambda z, i=i: norm.pdf(z, 0.0, sd) * np.exp(-0.5 * i * z * z), -8.0, 8.0)[0] for i in told]
+    assert _apart(term, fit, {"": slice(0, 3), "pitch": slice(3, 6)}) == pytest.approx(-2.0 / 3.0 * np.log(each).sum())
+    assert _apart(term, replace(fit, jacobian=0.0 * jacobian), {"": slice(0, 3), "pitch": slice(3, 6)}) < 1e-9
 
 
 def test_a_step_that_meets_a_limit_goes_on_along_it() -> None:

@@ -181,6 +181,18 @@ def test_a_doubled_knot_is_a_jump() -> None:
     torch.testing.assert_close(step.response(torch.tensor(0.3, dtype=D), t), expected)
 
 
+@pytest.mark.parametrize("kind", [np.asarray, torch.from_numpy])
+def test_at_its_own_knots_a_response_is_that_at_any_times(kind) -> None:
+    """Jumps, a late onset and steps far shorter than 1 / rate among them."""
+    times = np.array([0.3, 0.7, 0.7, 0.70001, 2.0, 2.0, 30.0, 90.0])
+    curve = PiecewiseLinear(kind(times), kind(np.array([0.0, 90.0, 40.0, 41.0, 20.0, 25.0, 3.0, 1.0])))
+    for rates in (np.array(0.0), np.array(1e-6), np.array([[0.05, 3.0], [60.0, 0.7]])):
+        known = curve.response(kind(rates), curve.times)
+        asked = curve.response(kind(rates), kind(times.copy()))
+        assert known.shape == (*rates.shape, len(times))
+        np.testing.assert_allclose(known, asked, rtol=1e-12, atol=1e-12)
+
+
 def test_one_knot_is_a_constant_from_there() -> None:
     forcing = PiecewiseLinear(torch.tensor([1.0], dtype=D), torch.tensor([[2.0], [3.0]], dtype=D))
     expected = torch.tensor([[0.0, 8.0], [0.0, 12.0]], dtype=D)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from petkin.diagnosis import Hypothesis, diagnose
+from petkin.diagnosis import Hypothesis, detect
 from petkin.dynamics import PiecewiseLinear
 from petkin.effects import EFFECTS
 from petkin.errors import InputError
@@ -126,8 +126,8 @@ def test_sparse_samples_of_a_scan_without_an_effect_are_no_gap(tmp_path: Path) -
         request = DiagnoseRequest(simulate(SimulationSettings.model_validate(settings)), include=INCLUDES)
         curves, simulator = prepared(sources_of(request)[2][0], request)
         exact = replace(simulator, errors=np.zeros((0, simulator.nodes.size)))
-        of_lines, of_exact = (diagnose(s, curves.values, candidates(s), seed=seed) for s in (simulator, exact))
-        allowed, as_exact = allowed + (of_lines.kind != "none"), as_exact + (of_exact.kind != "none")
+        of_lines, of_exact = (detect(s, curves.values, candidates(s), seed=seed) for s in (simulator, exact))
+        allowed, as_exact = allowed + of_lines.present, as_exact + of_exact.present
     assert allowed <= 1
     assert as_exact >= 3
 

@@ -40,6 +40,8 @@ _CURVED = frozenset({"tissue_heterogeneity"})
 _ACCURACY = 5e-4
 #: Stages that change what the regions hold into what is shown; how much of what was predicted is kept for another time.
 SCANNER, _KEPT = ("imaging", "noise"), 128
+#: Stages before what the regions hold.
+ARRIVAL = ("input", "clock")
 
 
 @dataclass(frozen=True)
@@ -183,21 +185,40 @@ class RegionalSimulator:
         amounts = np.exp(own[..., :count].clip(-12.0, 4.0))
         values = {symbol: amounts[..., i] for i, symbol in enumerate(self._logarithms)}
         nothing = np.zeros(own.shape[:-1])
+        model = replace(
+            self._once(shared.tobytes(), lambda: self._arriving(shared)),
+            vascular=Vessels(np.minimum(values.get("vB", nothing), 0.9), values.get("Kb", 0.0)),
+            tissue=Tissue(self.label, {symbol: values[symbol] for symbol in kinetics(self.label)}),
+        )
+        regional = {effect.name: own[..., count + i] for i, effect in enumerate(self._regional)}
+        return self._with(model, self._upon_regions, dict(zip(self.shared.symbols, shared)) | regional)
+
+    def _arriving(self, shared: Array) -> ForwardModel:
+        """The forward model of nothing, with what included effects make of its input and clock."""
         model = ForwardModel(
             regions=self.channels,
             input=self.input,
-            vascular=Vessels(np.minimum(values.get("vB", nothing), 0.9), values.get("Kb", 0.0)),
-            tissue=Tissue(self.label, {symbol: values[symbol] for symbol in kinetics(self.label)}),
+            vascular=Vessels(0.0),
+            tissue=Tissue(self.label, {}),
             imaging=Camera(moves=self.moves),
             clock=self.clock,
             noise=CountingNoise(0.0),
         )
-        for effect in self.includes:
+        arriving = [e for e in self.includes if e.name not in _OWN and e not in self._upon_regions]
+        return self._with(model, arriving, dict(zip(self.shared.symbols, shared)))
+
+    @cached_property
+    def _upon_regions(self) -> tuple[Effect, ...]:
+        """Included effects on what the regions hold, or on what is shown of that."""
+        return tuple(e for e in self.includes if e.name not in _OWN and (e.stage not in ARRIVAL or e.regional))
+
+    def _with(self, model: ForwardModel, effects: Sequence[Effect], sizes: Mapping[str, Any]) -> ForwardModel:
+        """A forward model with some of the included effects, those that have no size first, others in widths of their
+        plausible range."""
+        for effect in sorted(effects, key=lambda e: not e.flag):
             if effect.flag:
                 model = effect.inject(model)
-        sizes = dict(zip(self.shared.symbols, shared))
-        sizes |= {effect.name: own[..., count + i] for i, effect in enumerate(self._regional)}
-        for effect in self.sized:
+                continue
             amplitude = np.clip(sizes[effect.name] * width(effect), *self.limits[effect.name])
             setting = self.settings.get(effect.name, {})
             model = effect.inject(model, {effect.amplitude.symbol: amplitude, **setting})
@@ -205,7 +226,7 @@ class RegionalSimulator:
 
     def _responses(self, model: ForwardModel, shared: Array, terms: tuple[Term, ...]) -> Tabulated:
         """A table of the model's input and clock."""
-        moving = _key(t for t in terms if t.hypothesis.stage in ("input", "clock"))
+        moving = _key(t for t in terms if t.hypothesis.stage in ARRIVAL)
         return self._once((shared.tobytes(), moving), lambda: Tabulated(model.input, model.clock, self.nodes))
 
     def _once(self, key: Any, make: Callable[[], Any]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -143,16 +144,19 @@ def again(
     likely = [c for c in before if c.fit is not None and c.log_evidence > least]
     renewed = (refitted(simulator, data, noise, base, c.fit.state) for c in likely if c.fit is not None)
     found = [_averaged(c, scan, each, by_name[c.names[0]]) for c in renewed]
-    known = {c.names[0]: c.bare for c in before if c.fit is not None}
-    return _with_rest(found, by_name | known)
+    known = {c.names[0]: before[0].log_evidence - c.log_evidence for c in before if c.fit is not None}
+    return _with_rest(found, by_name, known)
 
 
-def _with_rest(found: list[Candidate], by_name: dict[str, float]) -> list[Candidate]:
-    """Those with a fit, and below them those that only the scan has judged."""
+def _with_rest(
+    found: list[Candidate], by_name: dict[str, float], known: Mapping[str, float] | None = None
+) -> list[Candidate]:
+    """Those with a fit, and below them those that only the scan has judged, or of which it is known how far they are
+    behind."""
     top = max(found, key=lambda c: c.log_evidence)
     fitted = {c.names[0] for c in found}
-    behind = {name: max(top.bare - value, _BELOW) for name, value in by_name.items() if name not in fitted}
-    rest = [Candidate((name,), None, top.log_evidence - by) for name, by in behind.items()]
+    behind = {name: top.bare - value for name, value in by_name.items()} | dict(known or {})
+    rest = [Candidate((n,), None, top.log_evidence - max(by, _BELOW)) for n, by in behind.items() if n not in fitted]
     return sorted([*found, *rest], key=lambda c: -c.log_evidence)
 
 

@@ -75,6 +75,8 @@ def test_what_is_not_refitted_is_held_against_the_best_as_the_scan_has_both() ->
     best = Candidate(("a",), None, 100.0, spared=-50.0)
     ranked = {c.label: c.log_evidence for c in _with_rest([best], {"a": 160.0, "b": 120.0, "c": 149.0})}
     assert ranked == {"a": 100.0, "c": 97.0, "b": 70.0}
+    known = {c.label: c.log_evidence for c in _with_rest([best], {"a": 160.0, "b": 120.0}, {"b": 41.0})}
+    assert known == {"a": 100.0, "b": 59.0}
 
 
 def test_shapes_of_each_channel_cost_what_their_prior_loses() -> None:

@@ -64,6 +64,8 @@ def _told(family: Family, columns: Array, least: float) -> Array:
         E V^{-1} E' - Y' Y,   L Y = N V^{-1} E',   L L' = 1 + N V^{-1} N'
 
     N has fewer rows than C.
+
+    Reference: Woodbury MA. Inverting modified matrices. Princeton Statistical Research Group memo 42; 1950.
     """
     whitened = _whitening(family, least)
     seen = whitened(np.concatenate([columns.reshape(-1, *family.rows.shape), family.rows[None]]))

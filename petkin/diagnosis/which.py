@@ -111,10 +111,10 @@ def singles(
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
         near = max(tried, key=lambda c: c.gain)
         promised = by_name[name] + foreknown(terms[:1])
-        least = -np.inf if patient else ahead
-        near = as_promised(simulator, data, noise, base, near, (terms[0],), promised, least)
+        lead = -np.inf if patient else ahead
+        near = as_promised(simulator, data, noise, base, near, (terms[0],), promised, lead)
         far = name in always or (name in flags and blatant)
-        near = _from_afar(simulator, data, noise, base, near, least) if far else near
+        near = _from_afar(simulator, data, noise, base, near, lead) if far else near
         found.append(_averaged(near, scan, each, by_name[name]))
     return _with_rest(found, by_name)
 
@@ -322,7 +322,10 @@ def _averaging(term: Term, fit: Fit, place: slice, gain: float) -> float:
 
 def _apart(term: Term, fit: Fit, places: dict[str, slice]) -> float:
     """What shapes cost that every channel has for itself, beside one that all have: ln of the prior's width over the
-    error, a channel but for one."""
+    error, a channel but for one.
+
+    Reference: MacKay DJC. Neural Comput 1992;4:415-447 (Occam factors by Laplace's approximation).
+    """
     cost = 0.0
     for shape in term.hypothesis.shapes:
         if shape.by_channel:

@@ -9,7 +9,7 @@ from petkin.diagnosis.design import ABSORBED, Visible, indistinct, witnessed
 from petkin.diagnosis.detect import CLAIM
 from petkin.diagnosis.diagnose import DRAWS, Detected, Progress, detect, diagnose, draws_left, foresee_design, silent
 from petkin.diagnosis.effect import Coordinates, Hypothesis, Profiles, Shape, Sighting, Simulator, Term
-from petkin.diagnosis.families import Family, holding
+from petkin.diagnosis.families import Family
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.member import Member
 from petkin.diagnosis.noise import second_differences
@@ -70,7 +70,6 @@ __all__ = [
     "draws_left",
     "each_alone",
     "foresee_design",
-    "holding",
     "in_common",
     "indistinct",
     "judge_contrasts",

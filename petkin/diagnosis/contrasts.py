@@ -9,7 +9,7 @@ no name is one hypothesis more.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import evidence
 from petkin.diagnosis.departures import Departure, judge_departures
 from petkin.diagnosis.detect import p_value
-from petkin.diagnosis.families import Family, misfit, root, scored
+from petkin.diagnosis.families import Family, root
 from petkin.diagnosis.strength import Z90
 
 Array = NDArray[np.float64]
@@ -98,7 +98,6 @@ def judge_contrasts(
     patterns: Sequence[Pattern],
     departures: Sequence[Departure] = (),
     *,
-    least: float,
     draws: int,
     rng: np.random.Generator,
 ) -> Contrasted:
@@ -108,7 +107,6 @@ def judge_contrasts(
         families: contrasts by name.
         patterns: what to look for.
         departures: where there may be a gap of no name.
-        least: smallest standard deviation that noise may have.
         draws: of noise for the p-value.
         rng: randomness.
     """
@@ -117,7 +115,7 @@ def judge_contrasts(
         mine = [pattern for pattern in patterns if pattern.family == name]
         if not mine:
             continue
-        scores, information = scored(family, np.stack([p.rows.ravel() for p in mine]), least)
+        scores, information = family.scored(np.stack([p.rows.ravel() for p in mine]))
         drawn = rng.standard_normal((draws, len(mine))) @ root(information)
         for i, pattern in enumerate(mine):
             size = float(information[i, i])
@@ -133,12 +131,12 @@ def judge_contrasts(
         courses[name] = liked.course
         mine = [i for i, (p, *_) in enumerate(entries) if p.usual and p.family == liked.family]
         pattern, _, information, _ = entries[max(mine, key=lambda i: each[i])]
-        best[name] = _sized(pattern, families[pattern.family], information, least)
+        best[name] = _sized(pattern, families[pattern.family], information)
     unnamed, departed = None, None
     observed, drawn = list(found.values()), list(nulls.values())
     if departures:
         named = {name: course for name, course in courses.items() if course is not None}
-        alone, null, left = judge_departures(departures, named, least=least, draws=draws, rng=rng)
+        alone, null, left = judge_departures(departures, named, draws=draws, rng=rng)
         departed = np.append(alone, null)
         observed, drawn = [*observed, alone], [*drawn, null]
         unnamed = min([alone, *(found[name] + beyond for name, beyond in left.items() if found[name] > _SEEN)])
@@ -157,15 +155,13 @@ def _mean(logs: Array) -> Array:
     return np.logaddexp.reduce(logs, axis=0) - np.log(len(logs))
 
 
-def _sized(pattern: Pattern, family: Family, information: float, least: float) -> Best:
+def _sized(pattern: Pattern, family: Family, information: float) -> Best:
     """Amplitude with errors as many times those of noise as the root of chi2 a degree of freedom has it, if above 1.
 
     Reference: Birge RT. Phys Rev 1932;40:207-227.
     """
-    (score,), ((known,),) = scored(
-        replace(family, nuisance=_KEPT * family.nuisance), pattern.rows.reshape(1, -1), least
-    )
-    known, widened = max(float(known), _TINY), max(misfit(family, pattern.rows, least), 1.0) ** 0.5
+    (score,), ((known,),) = family.with_nuisance(_KEPT).scored(pattern.rows.reshape(1, -1))
+    known, widened = max(float(known), _TINY), max(family.misfit(pattern.rows), 1.0) ** 0.5
     value, error = float(score) / known, widened * known**-0.5
     low, high = value - Z90 * error, value + Z90 * error
     seen = pattern.width * max(information, 0.0) ** 0.5

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from petkin.diagnosis import evidence
-from petkin.diagnosis.families import Family, root, scored
+from petkin.diagnosis.families import Family, root
 from petkin.diagnosis.unknown import courses
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class _Scored:
     together: tuple[NDArray[np.intp], ...]
 
     @classmethod
-    def of(cls, departure: Departure, named: Mapping[str, Array], least: float) -> tuple[_Scored, dict[str, _Scored]]:
+    def of(cls, departure: Departure, named: Mapping[str, Array]) -> tuple[_Scored, dict[str, _Scored]]:
         """Scores, and by name what an effect with its course (K,) leaves of them."""
         cosines = np.stack([each[:_COUNT] for each in courses(departure.times)])
         places = np.concatenate([departure.added, departure.parts])
@@ -69,7 +69,7 @@ class _Scored:
             for name, (by, squared) in departure.held.items()
             if name in named
         }
-        score, information = scored(departure.family, np.concatenate([flat, *beside.values()]), least)
+        score, information = departure.family.scored(np.concatenate([flat, *beside.values()]))
         which = np.arange(len(flat)).reshape(columns.shape[:3])
         alone = tuple(which[:, scale] for scale in range(len(cosines)))
         together = tuple(each[: len(departure.added)].reshape(1, -1) for each in alone)
@@ -131,7 +131,6 @@ def judge_departures(
     departures: Sequence[Departure],
     named: Mapping[str, Array] | None = None,
     *,
-    least: float,
     draws: int,
     rng: np.random.Generator,
 ) -> tuple[float, Array, dict[str, float]]:
@@ -140,11 +139,10 @@ def judge_departures(
     Args:
         departures: family by family.
         named: courses (K,) of effects, by name.
-        least: smallest standard deviation that noise may have.
         draws: of noise.
         rng: randomness.
     """
-    every, beside = zip(*[_Scored.of(each, named or {}, least) for each in departures], strict=True)
+    every, beside = zip(*[_Scored.of(each, named or {}) for each in departures], strict=True)
     usual = np.median([m for each in every for m in each.misfits()]) / chi2.median(_COUNT)
     scale = max(float(usual), 1.0)
     drawn = [rng.standard_normal((draws, len(each.score))) @ root(each.information) for each in every]

@@ -7,8 +7,8 @@ V, the covariance of the rows in every sample, is given: a row's own few samples
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,67 +30,87 @@ class Family:
 
     Args:
         rows: (J, K).
-        nuisance: columns of what they may hold besides, as large as it may be (n, J, K).
-        noise: covariance of their noise (J, J), the same in every sample.
+        white: W of W V W' = 1 (J, J).
+        nuisance: whitened columns of what they may hold besides, as large as it may be (n, J K).
+        inner: products of these columns (n, n).
     """
 
     rows: Array
+    white: Array
     nuisance: Array
-    noise: Array
+    inner: Array
+
+    @classmethod
+    def of(cls, rows: Array, nuisance: Array, noise: Array, least: float) -> Family:
+        """A family as it is seen.
+
+        Args:
+            rows: (J, K).
+            nuisance: columns of what they may hold besides, as large as it may be (n, J, K).
+            noise: V, the covariance of their noise (J, J), the same in every sample.
+            least: no mixture of rows has noise of a smaller standard deviation.
+        """
+        size, axes = np.linalg.eigh(noise)
+        white = (axes / np.sqrt(np.maximum(size, max(least, _TINY) ** 2))).T
+        held = _whitened(white, nuisance)
+        return cls(rows, white, held, held @ held.T)
+
+    def with_nuisance(self, times: float) -> Family:
+        """The same with so many times as much nuisance."""
+        return replace(self, nuisance=times * self.nuisance, inner=times**2 * self.inner)
+
+    def holding(self, further: Array, *, times: float) -> Family:
+        """The family holding more besides: so many times as large a share of it as is likeliest.
+
+        Args:
+            further: columns of what they may hold besides (n, J, K), of the usual size.
+            times: more than 1 where few rows tell the share, or it differs between them.
+        """
+        rows, more = _whitened(self.white, self.rows[None])[0], _whitened(self.white, further)
+        between, inner = self.nuisance @ more.T, more @ more.T
+        hidden = _beneath(self._factor, np.column_stack([between, self.nuisance @ rows]))
+        beyond = inner - hidden[:, :-1].T @ hidden[:, :-1]
+        left = more @ rows - hidden[:, :-1].T @ hidden[:, -1]
+        share = times * max(_SHARES, key=lambda share: _gained(share * left, share**2 * beyond))
+        both = np.block([[self.inner, share * between], [share * between.T, share**2 * inner]])
+        return replace(self, nuisance=np.concatenate([self.nuisance, share * more]), inner=both)
+
+    def scored(self, columns: Array) -> tuple[Array, Array]:
+        """E C^{-1} c and E C^{-1} E' of columns E (m, J K)."""
+        told = self._told(columns)
+        return told[:-1, -1], told[:-1, :-1]
+
+    def misfit(self, column: Array) -> float:
+        """chi2 per degree of freedom that a column (J K) leaves, however large it is.
+
+        (c' C^{-1} c - (e' C^{-1} c)^2 / e' C^{-1} e) / (J K - 1)
+        """
+        (known, shared), (_, whole) = self._told(column)
+        left = whole - shared**2 / known if known > 0 else whole
+        return float(left) / max(self.rows.size - 1, 1)
+
+    @cached_property
+    def _factor(self) -> Array:
+        return _factor(self.inner)
+
+    def _told(self, columns: Array) -> Array:
+        """E C^{-1} E' of columns and, after them, of the rows themselves (m + 1, m + 1), by Woodbury's identity:
+
+            E V^{-1} E' - Y' Y,   L Y = N V^{-1} E',   L L' = 1 + N V^{-1} N'
+
+        N has fewer rows than C.
+
+        Reference: Woodbury MA. Inverting modified matrices. Princeton Statistical Research Group memo 42; 1950.
+        """
+        every = np.concatenate([columns.reshape(-1, *self.rows.shape), self.rows[None]])
+        seen = _whitened(self.white, every)
+        hidden = _beneath(self._factor, self.nuisance @ seen.T)
+        return seen @ seen.T - hidden.T @ hidden
 
 
-def scored(family: Family, columns: Array, least: float) -> tuple[Array, Array]:
-    """E C^{-1} c and E C^{-1} E' of columns E (m, J K).
-
-    No mixture of rows has noise of a standard deviation below `least`.
-    """
-    told = _told(family, columns, least)
-    return told[:-1, -1], told[:-1, :-1]
-
-
-def misfit(family: Family, column: Array, least: float) -> float:
-    """chi2 per degree of freedom that a column (J K) leaves, however large it is.
-
-    (c' C^{-1} c - (e' C^{-1} c)^2 / e' C^{-1} e) / (J K - 1)
-    """
-    (known, shared), (_, whole) = _told(family, column, least)
-    left = whole - shared**2 / known if known > 0 else whole
-    return float(left) / max(family.rows.size - 1, 1)
-
-
-def _told(family: Family, columns: Array, least: float) -> Array:
-    """E C^{-1} E' of columns and, after them, of the rows themselves (m + 1, m + 1), by Woodbury's identity:
-
-        E V^{-1} E' - Y' Y,   L Y = N V^{-1} E',   L L' = 1 + N V^{-1} N'
-
-    N has fewer rows than C.
-
-    Reference: Woodbury MA. Inverting modified matrices. Princeton Statistical Research Group memo 42; 1950.
-    """
-    whitened = _whitening(family, least)
-    seen = whitened(np.concatenate([columns.reshape(-1, *family.rows.shape), family.rows[None]]))
-    nuisance = whitened(family.nuisance)
-    hidden = _beneath(_factor(nuisance @ nuisance.T), nuisance @ seen.T)
-    return seen @ seen.T - hidden.T @ hidden
-
-
-def holding(family: Family, further: Array, least: float, *, times: float) -> Family:
-    """The family holding more besides: so many times as large a share of it as is likeliest.
-
-    Args:
-        family: the contrasts.
-        further: columns of what they may hold besides (n, J, K), of the usual size.
-        least: no mixture of rows has noise of a smaller standard deviation.
-        times: more than 1 where few rows tell the share, or it differs between them.
-    """
-    whitened = _whitening(family, least)
-    rows, held, more = whitened(family.rows[None])[0], whitened(family.nuisance), whitened(further)
-    factor = _factor(held @ held.T)
-    both = _beneath(factor, held @ np.column_stack([more.T, rows]))
-    beyond = more @ more.T - both[:, :-1].T @ both[:, :-1]
-    left = more @ rows - both[:, :-1].T @ both[:, -1]
-    share = times * max(_SHARES, key=lambda share: _gained(share * left, share**2 * beyond))
-    return replace(family, nuisance=np.concatenate([family.nuisance, share * further]))
+def _whitened(white: Array, values: Array) -> Array:
+    """Rows (n, J, K) in units in which the noise is white (n, J K)."""
+    return np.asarray((white @ values).reshape(len(values), len(white) * values.shape[-1]), np.float64)
 
 
 def _gained(seen: Array, inner: Array) -> float:
@@ -116,17 +136,6 @@ def _factor(inner: Array) -> Array:
 def _beneath(factor: Array, columns: Array) -> Array:
     """L^{-1} columns."""
     return np.asarray(solve_triangular(factor, columns, lower=True, check_finite=False), np.float64)
-
-
-def _whitening(family: Family, least: float) -> Callable[[Array], Array]:
-    """Rows (n, J, K) in units in which the noise is white (n, J K)."""
-    size, axes = np.linalg.eigh(family.noise)
-    white = (axes / np.sqrt(np.maximum(size, max(least, _TINY) ** 2))).T
-
-    def whitened(values: Array) -> Array:
-        return np.asarray((white @ values).reshape(len(values), family.rows.size), np.float64)
-
-    return whitened
 
 
 def root(covariance: Array) -> Array:

@@ -32,8 +32,9 @@ _GLARING = 1000.0
 _STARTS, _APART = 3, 6.0
 #: Share of the best gain that a refit may lack after its first steps, besides, and still be followed to its end.
 _LAGGING = 0.35
-#: Iterations of a refit, and after how many the simulator's own derivatives are taken again.
-_STEPS, _RENEWED = 4, 3
+#: Iterations of a refit, those of one with the whole way before it, and after how many the simulator's own derivatives
+#: are taken again. 24 blunders of training scans were half of the way there after 15.
+_STEPS, _WAY, _RENEWED = 4, 16, 3
 
 
 @dataclass(frozen=True)
@@ -73,14 +74,14 @@ def singles(
     """Every hypothesis with its evidence, the promising ones after a full refit; best first.
 
     A refit begins anew at other settings, unless it holds what the scan promised and that is far behind the best; one
-    that is far behind after its first steps, and falls slowly, is not followed. A flag's is: it begins at full
-    strength, and has the whole way before it.
+    that is far behind after its first steps, and falls slowly, is not followed.
 
     Who is refitted goes by what the best refit reached, where that is less than the scan promised of it.
 
-    Where a gap is blatant, flags and `always` get a refit too: a weak template says little of them at full strength. So
-    does what is likelier than the rest before any data. Where a gap is glaring, all that the scan puts first is
-    refitted, from all its settings and to the end.
+    What is likelier than the rest before any data gets a refit, and where a gap is blatant so do flags and `always`: a
+    weak template says little of them at full strength. A flag's begins at the simulator's usual values: its own fit is
+    then far from where it would be with the flag. Where a gap is glaring, all that the scan puts first is refitted,
+    from all its settings and to the end.
     """
     each = scan.each(base.residual)
     by_name = {name: float(value) for name, value in scan.by_hypothesis(each).items()}
@@ -96,8 +97,13 @@ def singles(
         if not promising and name not in strong:
             continue
         tried: list[Candidate] = []
-        patient = glaring or name in flags
         terms = starts(scan, base.residual, each, name, _STARTS)
+        blunder = name in flags and blatant
+        patient = not blunder and (glaring or name in flags)
+        if blunder:
+            usual = State(simulator.starts[0], base.state.shared, (*base.state.terms, terms[0]))
+            tried.append(refitted(simulator, data, noise, base, usual, ahead, steps=_WAY))
+            ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
         for term in (*terms, *_other_way(terms[0])):
             start = begun(simulator, data, noise, base, (term,))
             tried.append(refitted(simulator, data, noise, base, start, -np.inf if patient else ahead))
@@ -112,9 +118,10 @@ def singles(
         near = max(tried, key=lambda c: c.gain)
         promised = by_name[name] + foreknown(terms[:1])
         lead = -np.inf if patient else ahead
-        near = as_promised(simulator, data, noise, base, near, (terms[0],), promised, lead)
-        far = name in always or (name in flags and blatant)
-        near = _from_afar(simulator, data, noise, base, near, lead) if far else near
+        if not blunder:
+            near = as_promised(simulator, data, noise, base, near, (terms[0],), promised, lead)
+        if name in always and name not in flags:
+            near = _from_afar(simulator, data, noise, base, near, lead)
         found.append(_averaged(near, scan, each, by_name[name]))
     return _with_rest(found, by_name)
 
@@ -166,15 +173,11 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
     Near the simulator's own fit what is strong and bends may end in a side valley, however little it gains there.
     """
     (term,) = near.terms
-    places = simulator.starts
-    if term.hypothesis.flag:
-        places = places[:1]
-    else:
-        strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
-        middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
-        term = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
+    strength = _FAR * (term.hypothesis.upper if np.mean(term.amplitude) >= 0 else term.hypothesis.lower)
+    middle = {s.symbol: 0.0 * term.setting[s.symbol] + np.sqrt(s.lower * s.upper) for s in term.hypothesis.shapes}
+    term = replace(term, amplitude=0.0 * term.amplitude + strength, setting={**term.setting, **middle})
     terms = (*base.state.terms, term)
-    states = [replace(base.state, own=own, terms=terms) for own in places]
+    states = [replace(base.state, own=own, terms=terms) for own in simulator.starts]
     found = [refitted(simulator, data, noise, base, state, ahead) for state in states]
     return max(near, *found, key=lambda c: c.gain)
 
@@ -220,14 +223,21 @@ def halfway(refitted: float, linear: float, terms: tuple[Term, ...]) -> float:
 
 
 def refitted(
-    simulator: Simulator, data: Array, noise: Noise, base: Fit, start: State, ahead: float = -np.inf
+    simulator: Simulator,
+    data: Array,
+    noise: Noise,
+    base: Fit,
+    start: State,
+    ahead: float = -np.inf,
+    *,
+    steps: int = _STEPS,
 ) -> Candidate:
     """Terms fitted with everything else, from a start; their evidence and what is known beforehand.
 
-    Refits that stay far behind the gain of one that is `ahead` are not followed to their end.
+    Refits that after so many steps stay far behind the gain of one that is `ahead` are not followed to their end.
     """
     behind = base.objective - (1.0 - _LAGGING) * ahead + 2.0 * _WITHIN
-    fit = refit(simulator, data, noise, start, iterations=_STEPS, renewed=_RENEWED, behind=behind)
+    fit = refit(simulator, data, noise, start, iterations=steps, renewed=_RENEWED, behind=behind)
     channels, known = len(simulator.channels), len(base.state.terms)
     one = None
     if any(_is_about_one(term.hypothesis) for term in fit.state.terms[known:]):

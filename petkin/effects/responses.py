@@ -32,6 +32,8 @@ _OFFSET = 0.004
 _RATES = np.concatenate([[0.0], np.geomspace(3e-4, 15.0, 95)])
 #: Added to a + lambda where it divides, 1/min.
 _LEAST = 1e-7
+#: Digits of a minute to which steps are told apart.
+_DIGITS = 12
 
 
 class Responses(Protocol):
@@ -177,7 +179,7 @@ class _March:
 def _marched(forcing: Forcing, decay: float, nodes: bytes) -> tuple[Array, Array, Array, Array]:
     times = np.frombuffer(nodes).copy()
     u = np.asarray(forcing(times), np.float64) * np.exp(-decay * times)
-    y, area = _walk(times, u, _steps(decay, nodes))
+    y, area = _walk(times, u, *_steps(decay, nodes))
     return times, u, y, area
 
 
@@ -186,37 +188,44 @@ def _march(forcing: Forcing, delay: float, decay: float, nodes: bytes) -> _March
 
 
 @njit()
-def _weigh(times, rates):
-    """The steps between nodes for every rate (steps, rates, 3)."""
-    found = np.empty((times.size - 1, rates.size, 3))
-    for i in range(times.size - 1):
+def _weigh(lengths, rates):
+    """What steps of some lengths do, for every rate (steps, 3, rates)."""
+    found = np.empty((lengths.size, 3, rates.size))
+    for i in range(lengths.size):
         for r in range(rates.size):
-            found[i, r] = step(rates[r], times[i + 1] - times[i])
+            kept, first, last = step(rates[r], lengths[i])
+            found[i, 0, r], found[i, 1, r], found[i, 2, r] = kept, first, last
     return found
 
 
 @lru_cache(maxsize=8)
-def _steps(decay: float, nodes: bytes) -> Array:
-    return _weigh(np.frombuffer(nodes), _RATES + decay)
+def _steps(decay: float, nodes: bytes) -> tuple[Array, NDArray[np.intp]]:
+    """The weights of all lengths that steps between nodes have, few of which differ, and which is whose."""
+    lengths, which = np.unique(np.diff(np.frombuffer(nodes)).round(_DIGITS), return_inverse=True)
+    return _weigh(lengths, _RATES + decay), which
 
 
 @njit()
-def _walk(times, u, weights):
+def _walk(times, u, weights, which):
     """y (nodes, rates) and U at the nodes."""
-    steps, count = weights.shape[:2]
-    y, area = np.zeros((steps + 1, count)), np.zeros(steps + 1)
-    for i in range(steps):
+    count = weights.shape[2]
+    y, area = np.empty((times.size, count)), np.zeros(times.size)
+    for r in range(count):
+        y[0, r] = 0.0
+    for i in range(times.size - 1):
         area[i + 1] = area[i] + 0.5 * (times[i + 1] - times[i]) * (u[i] + u[i + 1])
+        kept, first, last = weights[which[i]]
         for r in range(count):
-            y[i + 1, r] = weights[i, r, 0] * y[i, r] + weights[i, r, 1] * u[i] + weights[i, r, 2] * u[i + 1]
+            y[i + 1, r] = kept[r] * y[i, r] + first[r] * u[i] + last[r] * u[i + 1]
     return y, area
 
 
 @njit()
 def _reach(times, u, y, area, rates, t, found):
     """y of every rate and, last, U at a time; zero before the first node, the input held after the last."""
-    found[:] = 0.0
     if t <= times[0]:
+        for r in range(found.size):
+            found[r] = 0.0
         return
     i = min(np.searchsorted(times, t, side="right") - 1, times.size - 1)
     d, here = t - times[i], u[i]

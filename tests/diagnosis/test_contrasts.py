@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from petkin.diagnosis import Family, Pattern, holding, judge_contrasts
-from petkin.diagnosis.families import _gained, _whitening, misfit, scored
+from petkin.diagnosis import Family, Pattern, judge_contrasts
+from petkin.diagnosis.families import _gained, _whitened
 
 ROWS, SAMPLES = 3, 15
 
@@ -34,8 +34,8 @@ def p_of_noise(rng: np.random.Generator, nuisance: np.ndarray, noise: np.ndarray
     for name in ("x", "y"):
         rows = np.linalg.cholesky(noise) @ rng.standard_normal((ROWS, SAMPLES))
         rows = rows + np.tensordot(rng.standard_normal(len(nuisance)), nuisance, 1)
-        families[name] = Family(rows, nuisance, noise)
-    return judge_contrasts(families, patterns, least=1e-9, draws=200, rng=rng).p_value
+        families[name] = Family.of(rows, nuisance, noise, 1e-9)
+    return judge_contrasts(families, patterns, draws=200, rng=rng).p_value
 
 
 @pytest.mark.parametrize("noise", [np.eye(ROWS), SHARED])
@@ -56,9 +56,9 @@ def test_likelihood_is_that_of_a_normal_distribution(nuisance: np.ndarray, noise
     alone = np.kron(noise, np.eye(SAMPLES))
     flat = nuisance.reshape(len(nuisance), -1)
     held, none = (multivariate_normal(cov=cov).logpdf(rows.ravel()) for cov in (alone + flat.T @ flat, alone))
-    whitened = _whitening(Family(rows, nuisance, noise), 1e-9)
-    (white,), beside = whitened(rows[None]), whitened(nuisance)
-    assert _gained(beside @ white, beside @ beside.T) == pytest.approx(held - none, rel=1e-9)
+    family = Family.of(rows, nuisance, noise, 1e-9)
+    (white,) = _whitened(family.white, rows[None])
+    assert _gained(family.nuisance @ white, family.inner) == pytest.approx(held - none, rel=1e-9)
 
 
 @pytest.mark.parametrize("noise", [np.eye(ROWS), SHARED])
@@ -72,7 +72,7 @@ def test_scores_are_those_of_the_whole_covariance(noise: np.ndarray, times: floa
     axes, size, _ = np.linalg.svd(white @ nuisance.reshape(len(nuisance), -1).T)
     size = np.pad(size, (0, len(axes) - len(size)))
     seen, shown = axes.T @ white @ columns.T, axes.T @ white @ rows.ravel()
-    score, information = scored(Family(rows, nuisance, noise), columns, 1e-9)
+    score, information = Family.of(rows, nuisance, noise, 1e-9).scored(columns)
     np.testing.assert_allclose(score, seen.T @ (shown / (1.0 + size**2)), rtol=1e-6)
     np.testing.assert_allclose(information, (seen.T / (1.0 + size**2)) @ seen, rtol=1e-6)
 
@@ -85,18 +85,18 @@ def test_a_family_holds_as_much_besides_as_it_shows(mixed: float, least: float, 
     shares = []
     for _ in range(40):
         besides = mixed * np.tensordot(rng.standard_normal(ROWS), further, 1)
-        bare = Family(rng.standard_normal((ROWS, SAMPLES)) + besides, APART[:0], np.eye(ROWS))
-        shares.append(np.abs(holding(bare, further, 1e-9, times=2.0).nuisance).max() / np.abs(further).max())
+        bare = Family.of(rng.standard_normal((ROWS, SAMPLES)) + besides, APART[:0], np.eye(ROWS), 1e-9)
+        shares.append(np.abs(bare.holding(further, times=2.0).nuisance).max() / np.abs(further).max())
     assert least - 1e-9 <= np.median(shares) / 2.0 <= most + 1e-9
 
 
 def test_what_a_column_leaves_of_noise_is_one_a_degree_of_freedom() -> None:
     rng, column = np.random.default_rng(3), np.ones((ROWS, SAMPLES)) * COURSE
     drawn = [np.linalg.cholesky(SHARED) @ rng.standard_normal((ROWS, SAMPLES)) for _ in range(200)]
-    families = [Family(rows + APART[0] + 5.0 * column, APART, SHARED) for rows in drawn]
-    assert np.mean([misfit(family, column, 1e-9) for family in families]) == pytest.approx(1.0, abs=0.05)
+    families = [Family.of(rows + APART[0] + 5.0 * column, APART, SHARED, 1e-9) for rows in drawn]
+    assert np.mean([family.misfit(column) for family in families]) == pytest.approx(1.0, abs=0.05)
     odd = 3.0 * np.ones((ROWS, 1)) * (-1.0) ** np.arange(SAMPLES)
-    assert np.mean([misfit(replace(f, rows=f.rows + odd), column, 1e-9) for f in families[:20]]) > 4.0
+    assert np.mean([replace(f, rows=f.rows + odd).misfit(column) for f in families[:20]]) > 4.0
 
 
 def test_a_size_is_that_of_a_usual_pattern_and_no_surer_than_what_it_leaves() -> None:
@@ -105,8 +105,9 @@ def test_a_size_is_that_of_a_usual_pattern_and_no_surer_than_what_it_leaves() ->
     early = np.ones((ROWS, 1)) * (np.arange(SAMPLES) < SAMPLES // 2)
     whole = np.ones((ROWS, SAMPLES))
     patterns = [Pattern("drift", "x", whole, {}), Pattern("drift", "x", early, {}, usual=False)]
-    family = Family(4.0 * early + rng.standard_normal((ROWS, SAMPLES)), np.zeros((0, ROWS, SAMPLES)), np.eye(ROWS))
-    found = judge_contrasts({"x": family}, patterns, least=1e-9, draws=50, rng=rng)
+    rows = 4.0 * early + rng.standard_normal((ROWS, SAMPLES))
+    family = Family.of(rows, np.zeros((0, ROWS, SAMPLES)), np.eye(ROWS), 1e-9)
+    found = judge_contrasts({"x": family}, patterns, draws=50, rng=rng)
     assert found.settings["drift"][1][1] > found.settings["drift"][0][1]
     best = found.best["drift"]
     assert best.pattern is patterns[0]
@@ -121,10 +122,8 @@ def test_a_size_is_read_though_nuisance_that_looks_like_it_was_told_too_large() 
     time = np.linspace(0.0, 1.0, SAMPLES)
     pattern, alike = np.ones((ROWS, 1)) * time, np.ones((ROWS, 1)) * time**2
     apart = pattern - (pattern * alike).sum() / (alike**2).sum() * alike
-    family = Family(20.0 * (pattern - apart), 2.0 * alike[None], np.eye(ROWS))
-    found = judge_contrasts(
-        {"x": family}, [Pattern("drift", "x", pattern, {})], least=1e-9, draws=50, rng=np.random.default_rng(0)
-    )
-    scores, information = scored(family, pattern.reshape(1, -1), 1e-9)
+    family = Family.of(20.0 * (pattern - apart), 2.0 * alike[None], np.eye(ROWS), 1e-9)
+    found = judge_contrasts({"x": family}, [Pattern("drift", "x", pattern, {})], draws=50, rng=np.random.default_rng(0))
+    scores, information = family.scored(pattern.reshape(1, -1))
     assert float(scores[0] / information[0, 0]) < 8.0
     assert found.best["drift"].value > 14.0

@@ -26,11 +26,11 @@ def departure(gap: np.ndarray, rng: np.random.Generator, noise: float = 1.0) -> 
     rows = noise * rng.standard_normal((PLACES * ROWS, SAMPLES))
     rows += np.tensordot(rng.standard_normal(len(ALWAYS)), ALWAYS, 1)
     rows += np.einsum("bk,bjk->jk", gap, ADDED)
-    return Departure(Family(rows, ALWAYS, np.eye(len(rows))), ADDED, TIMES, NO_PARTS)
+    return Departure(Family.of(rows, ALWAYS, np.eye(len(rows)), 1e-9), ADDED, TIMES, NO_PARTS)
 
 
 def judged(each: Departure, rng: np.random.Generator) -> tuple[float, np.ndarray]:
-    return judge_departures([each], least=1e-9, draws=DRAWS, rng=rng)[:2]
+    return judge_departures([each], draws=DRAWS, rng=rng)[:2]
 
 
 def swelling(*places: int) -> np.ndarray:
@@ -55,7 +55,7 @@ def test_how_places_are_mixed_does_not_matter_to_what_is_as_visible_any_way() ->
     other = replace(one, added=np.einsum("ab,bjk->ajk", mixing, one.added))
     found = []
     for each in (one, other):
-        scored = _Scored.of(each, {}, 1e-9)[0]
+        scored = _Scored.of(each, {})[0]
         found.append(scored.evidence(scored.score, 1.0)[2])
     np.testing.assert_allclose(found[0], found[1], rtol=1e-6)
     assert (found[0] > 5.0).all()
@@ -72,7 +72,7 @@ def test_a_gap_in_a_part_is_seen_where_no_place_alone_shows_it() -> None:
     (before, _), (after, drawn) = (judged(each, np.random.default_rng(13)) for each in (without, whole))
     assert after > before + 3.0
     assert after > drawn.max()
-    plain, kept = (_Scored.of(each, {}, 1e-9)[0] for each in (without, whole))
+    plain, kept = (_Scored.of(each, {})[0] for each in (without, whole))
     assert plain.misfits() == pytest.approx(kept.misfits())
     for one, other in zip(plain.evidence(plain.score, 1.0)[1:], kept.evidence(kept.score, 1.0)[1:], strict=True):
         np.testing.assert_allclose(one, other)
@@ -91,7 +91,7 @@ def test_a_part_that_nothing_shows_has_no_evidence() -> None:
 def test_noise_has_no_evidence_of_what_is_as_visible_any_way() -> None:
     """A likelihood ratio of 20 in less than a twentieth of draws; here in a hundredth."""
     rng = np.random.default_rng(7)
-    scored = _Scored.of(departure(swelling(), rng), {}, 1e-9)[0]
+    scored = _Scored.of(departure(swelling(), rng), {})[0]
     drawn = rng.standard_normal((4000, len(scored.score))) @ root(scored.information)
     ratio = np.exp(scored.evidence(drawn, 1.0)[2])
     assert (np.mean(ratio >= 20.0, axis=0) <= 0.01).all()
@@ -114,7 +114,7 @@ def test_what_a_name_explains_is_no_gap_beside_it() -> None:
     def seen(rows: np.ndarray) -> tuple[float, float]:
         each = departure(swelling(), np.random.default_rng(9))
         each = replace(each, held={"motion": (by, squared)}, family=replace(each.family, rows=each.family.rows + rows))
-        found, _, left = judge_departures([each], {"motion": course}, least=1e-9, draws=DRAWS, rng=rng)
+        found, _, left = judge_departures([each], {"motion": course}, draws=DRAWS, rng=rng)
         return found, left["motion"]
 
     alone, beside = seen(moved), seen(moved + np.einsum("bk,bjk->jk", swelling(2), ADDED))
@@ -130,9 +130,9 @@ def test_a_gap_of_no_name_is_no_surer_than_a_name_with_what_that_leaves() -> Non
     family = replace(each.family, rows=each.family.rows + 0.5 * by[0] * course)
     pattern = Pattern("motion", "x", np.ones((ROWS, 1)) * course, {}, course=course)
     rows = 1.2 * np.ones((ROWS, 1)) * course + rng.standard_normal((ROWS, SAMPLES))
-    families = {"x": Family(rows, np.zeros((1, ROWS, SAMPLES)), np.eye(ROWS))}
+    families = {"x": Family.of(rows, np.zeros((1, ROWS, SAMPLES)), np.eye(ROWS), 1e-9)}
     free, held = (
-        judge_contrasts(families, [pattern], [one], least=1e-9, draws=DRAWS, rng=np.random.default_rng(11))
+        judge_contrasts(families, [pattern], [one], draws=DRAWS, rng=np.random.default_rng(11))
         for one in (replace(each, family=family), replace(each, family=family, held={"motion": (by, by[:0])}))
     )
     assert free.p_value == held.p_value
@@ -160,9 +160,10 @@ def test_p_values_of_noise_are_not_too_small() -> None:
     step = Pattern("step", "x", np.ones((ROWS, 1)) * (TIMES > 30.0), {"onset": 30.0})
     found = []
     for _ in range(150):
-        families = {"x": Family(rng.standard_normal((ROWS, SAMPLES)), np.zeros((1, ROWS, SAMPLES)), np.eye(ROWS))}
+        rows = rng.standard_normal((ROWS, SAMPLES))
+        families = {"x": Family.of(rows, np.zeros((1, ROWS, SAMPLES)), np.eye(ROWS), 1e-9)}
         one = departure(swelling(), rng)
-        found.append(judge_contrasts(families, [step], [one], least=1e-9, draws=DRAWS, rng=rng).p_value)
+        found.append(judge_contrasts(families, [step], [one], draws=DRAWS, rng=rng).p_value)
     assert np.mean(np.array(found) <= 0.05) <= 0.09
     assert 0.3 <= np.mean(np.array(found) <= 0.5) <= 0.6
 

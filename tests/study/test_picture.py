@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from petkin.diagnosis import Family, holding
+from petkin.diagnosis import Family
 from petkin.imaging import FrameSchedule, Leg, Motion
 from petkin.study.diagnosis.drawing import Predicted
-from petkin.study.diagnosis.fields import departures
+from petkin.study.diagnosis.fields import views_of
 from petkin.study.diagnosis.moving import moves
 from petkin.study.diagnosis.picture import Picture, Voxels
 from petkin.study.diagnosis.scene import Scene, _slope, drifts
@@ -89,8 +89,8 @@ def test_edges_that_run_within_voxels_are_nuisance() -> None:
     voxels, weights = with_edges_within_voxels()
     rows, there = voxels.beside(weights), voxels.there(weights)
     assert np.linalg.norm(rows) > 10.0
-    family = holding(Family(rows, there[:0], np.eye(REGIONS)), there, 1e-9, times=1.0)
-    columns = family.nuisance
+    family = Family.of(rows, there[:0], np.eye(REGIONS), 1e-9).holding(there, times=1.0)
+    columns = family.nuisance.reshape(-1, *rows.shape)
     for r in range(REGIONS):
         mine = columns[np.abs(columns[:, r]).max(axis=1) > 0, r].T
         covariance = mine @ mine.T + 1e-6 * np.eye(FRAMES)
@@ -124,15 +124,11 @@ def test_what_weighs_the_voxels_shares_no_noise_with_the_frames() -> None:
         voxels = in_a_row(seed)
         tilt = next(c for c in _contrasts(Scene(voxels)) if c.family == "gain 1")
         gains.append(voxels.beside(tilt.weights).mean(axis=1))
-        (along, *_) = departures(voxels, [_nothing], np.arange(1.0, FRAMES + 1.0), {}, least=1e-6)
-        fields.append(along.family.rows.mean(axis=1))
+        (along, *_) = views_of(voxels, {}, least=1e-6)
+        fields.append(along.rows.mean(axis=1))
     for means in (np.array(gains), np.array(fields)):
         spread = np.maximum(means.std(axis=0), 1e-9)
         assert (np.abs(means.mean(axis=0)) < 4.0 * spread / np.sqrt(len(means))).all()
-
-
-def _nothing(weights: np.ndarray, regions: np.ndarray) -> np.ndarray:
-    return np.zeros((0, len(weights) * len(regions), FRAMES))
 
 
 def test_a_drift_may_begin_and_end_during_the_scan() -> None:

@@ -17,13 +17,14 @@ within every region, and turned there so that they share none; they look beside 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.diagnosis import Departure, Family, holding
+from petkin.diagnosis import Departure, Family
 from petkin.study.diagnosis.joint import added, beside, there
 from petkin.study.diagnosis.picture import Voxels
 
@@ -55,15 +56,47 @@ Maps = tuple[Sequence[Array], Sequence[Array]]
 Held = Callable[[Array, NDArray[np.intp]], Array]
 
 
-def departures(
-    voxels: Voxels, held: Sequence[Held], times: Array, named: Mapping[str, Maps], *, least: float
-) -> list[Departure]:
-    """Contrasts that see such gains: along every axis, and across several.
+@dataclass(frozen=True)
+class View:
+    """What the contrasts of one family of fields see, whatever they may hold besides.
+
+    Args:
+        weights: (F, N).
+        regions: of these regions (R,).
+        rows: contrasts (F R, K).
+        every: what unit gains add to them (F, F R, K).
+        parts: the same of windows (n, F R, K).
+        there: what they may hold of an image that stays as it is (m, F R, K).
+        known: what effects that have a name add, by their amplitude and by its square.
+    """
+
+    weights: Array
+    regions: NDArray[np.intp]
+    rows: Array
+    every: Array
+    parts: Array
+    there: Array
+    known: Mapping[str, tuple[Array, Array]]
+
+    def departure(self, held: Sequence[Held], times: Array, least: float) -> Departure:
+        """Where these contrasts may depart.
+
+        Args:
+            held: what they may hold besides: of kinetics that vary within regions, of effects that are included.
+            times: of the frames (K,), min.
+            least: smallest standard deviation that noise may have.
+        """
+        nuisance = np.concatenate([each(self.weights, self.regions) for each in held])
+        bare = Family.of(self.rows, nuisance, np.eye(len(self.rows)), least)
+        family = bare.holding(self.there, times=_TIMES)
+        return Departure(family, self.every, np.maximum(times, 0.0), self.parts, self.known)
+
+
+def views_of(voxels: Voxels, named: Mapping[str, Maps], *, least: float) -> list[View]:
+    """Views of such gains: along every axis, and across several.
 
     Args:
         voxels: of a segmentation.
-        held: what they may hold besides: of kinetics that vary within regions, of effects that are included.
-        times: of the frames (K,), min.
         named: what effects that have a name add.
         least: smallest standard deviation that noise may have.
     """
@@ -71,7 +104,6 @@ def departures(
     found = []
     for fields, windows in _fields(voxels):
         weights = _apart(voxels, np.stack([voxels.centred(field * bright) for field in fields]), least)
-        rows = beside(voxels, weights, regions)
         every, parts = (
             added(voxels, weights, regions, (field[:, None] * voxels.seen for field in each))
             for each in (fields, windows)
@@ -82,10 +114,8 @@ def departures(
             name: (added(voxels, weights, regions, a), added(voxels, weights, regions, b))
             for name, (a, b) in named.items()
         }
-        nuisance = np.concatenate([each(weights, regions) for each in held])
-        bare = Family(rows, nuisance, np.eye(len(rows)))
-        family = holding(bare, there(voxels, weights, regions), least, times=_TIMES)
-        found.append(Departure(family, every, np.maximum(times, 0.0), parts, known))
+        rows, still = beside(voxels, weights, regions), there(voxels, weights, regions)
+        found.append(View(weights, regions, rows, every, parts, still, known))
     return found
 
 

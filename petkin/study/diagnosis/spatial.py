@@ -19,10 +19,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from petkin.diagnosis import WITHIN, Contrasted, Family, Hypothesis, Pattern, Sighting, holding, judge_contrasts
+from petkin.diagnosis import WITHIN, Contrasted, Family, Hypothesis, Pattern, Sighting, judge_contrasts
 from petkin.effects.imaging import after
 from petkin.study.diagnosis.drawing import Predicted
-from petkin.study.diagnosis.fields import Maps, departures
+from petkin.study.diagnosis.fields import Maps, views_of
 from petkin.study.diagnosis.gone import Gone
 from petkin.study.diagnosis.joint import added, beside, there
 from petkin.study.diagnosis.moving import apart, less
@@ -150,17 +150,19 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     contrasts = [replace(each, pair=variation.parted(calm, each)) for each in contrasts]
     patterns += [pattern for contrast in contrasts for pattern in _patterns(contrast, scene, simulator)]
     patterns = [pattern for pattern in patterns if pattern.name in names]
-    named = _named(scene, contrasts)
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
+
+    views = views_of(scene.voxels, _named(scene, contrasts), least=least)
 
     def asked(still: Voxels, variation: Variation) -> Contrasted:
         varying = Variation.of(still, [blurring])
-        families = {"blur": Family(sums, _held(blurring.weights[None], varying, standing), blurring.noise)}
+        held = _held(blurring.weights[None], varying, standing)
+        families = {"blur": Family.of(sums, held, blurring.noise, least)}
         families |= {each.family: _family(each, scene, calm, variation, standing, least) for each in contrasts}
         held = (variation.joint, standing.joint)
-        unnamed = departures(scene.voxels, held, simulator.clock.frames.mid, named, least=least)
+        unnamed = [view.departure(held, simulator.clock.frames.mid, least) for view in views]
         rng = np.random.default_rng((seed, len(patterns)))
-        return judge_contrasts(families, patterns, unnamed, least=least, draws=_DRAWS, rng=rng)
+        return judge_contrasts(families, patterns, unnamed, draws=_DRAWS, rng=rng)
 
     first = asked(calm, variation)
     if voxels.gone is not None:
@@ -268,8 +270,8 @@ def _family(
     stays as it is, as far as one that is still shows it."""
     voxels, pair, regions = scene.voxels, contrast.pair, np.arange(len(variation.sensitivity))
     noise = voxels.picture.grain.between(pair)
-    bare = Family(beside(still, pair, regions), _held(pair, variation, standing), noise)
-    return replace(holding(bare, there(voxels, pair, regions), least, times=_TIMES), rows=beside(voxels, pair, regions))
+    bare = Family.of(beside(still, pair, regions), _held(pair, variation, standing), noise, least)
+    return replace(bare.holding(there(voxels, pair, regions), times=_TIMES), rows=beside(voxels, pair, regions))
 
 
 def _patterns(contrast: _Contrast, scene: Scene, simulator: RegionalSimulator) -> list[Pattern]:

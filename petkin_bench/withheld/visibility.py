@@ -127,43 +127,64 @@ def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw, g
 
     Guesses at which curves explode explain nothing: their chi2 is infinite.
     """
-    target, here = law.whiten(values), simulator.start(subject)
-    damping, fitted, jacobian = 1e-4, *_jacobian(simulator, here, law, guesses)
-    if not np.isfinite(jacobian).all():
-        return Seen(target, np.zeros((target.size, 0)), here, float("inf"), guesses)
-    own = jacobian.shape[1] - sum(g.coordinates for g in guesses)
+    target, damping = law.whiten(values), 1e-4
+    here = _point(simulator, simulator.start(subject), law, guesses)
+    if not here.is_finite:
+        return Seen(target, np.zeros((target.size, 0)), here.subject, float("inf"), guesses)
     for _ in range(_STEPS):
-        residual = target - fitted
-        normal = jacobian.T @ jacobian
-        scale = damping * np.diag(normal) + _RIDGE
-        step = np.asarray(np.linalg.solve(normal + np.diag(scale), jacobian.T @ residual), np.float64)
-        moved, other = simulator.moved(here, step[:own]), _moved(guesses, step[own:])
-        after = target - law.whiten(observe(moved, tuple(g.change() for g in other)))
-        with np.errstate(over="ignore"):  # rates may go where curves explode, and come back
-            gained = float(residual @ residual - after @ after)
-        there = _jacobian(simulator, moved, law, other) if gained > 0 else None
-        if there is None or not np.isfinite(there[1]).all():
+        there, gained = _stepped(simulator, law, target, here, damping)
+        if there is None:
             damping *= 30
             continue
-        here, guesses, damping = moved, other, damping / 10
-        fitted, jacobian = there
+        here, damping = there, damping / 10
         if gained < 1e-3:
             break
-    left, felt, _ = np.linalg.svd(jacobian, full_matrices=False)
+    left, felt, _ = np.linalg.svd(here.jacobian, full_matrices=False)
     axes = left[:, felt > _FELT]
-    residual = target - fitted
-    return Seen(residual - axes @ (axes.T @ residual), axes, here, float(residual @ residual), guesses)
+    residual = target - here.values
+    over = residual - axes @ (axes.T @ residual)
+    return Seen(over, axes, here.subject, float(residual @ residual), here.guesses)
 
 
-def _jacobian(simulator: Simulator, here: Subject, law: NoiseLaw, guesses: tuple[Guess, ...]) -> tuple[Array, Array]:
-    """Whitened values, and their derivatives by every coordinate of the simulator and of the guesses."""
+@dataclass(frozen=True)
+class _Point:
+    """Where a refit is: whitened values, and their derivatives by every coordinate of the simulator and of guesses."""
+
+    subject: Subject
+    guesses: tuple[Guess, ...]
+    values: Array
+    jacobian: Array
+
+    @property
+    def is_finite(self) -> bool:
+        return bool(np.isfinite(self.jacobian).all())
+
+
+def _point(simulator: Simulator, subject: Subject, law: NoiseLaw, guesses: tuple[Guess, ...]) -> _Point:
     changes = tuple(g.change() for g in guesses)
-    fitted, own = simulator.jacobian(here, law, changes)
+    fitted, own = simulator.jacobian(subject, law, changes)
     if not any(g.coordinates for g in guesses):
-        return fitted, own
-    values = observe(here, changes)
-    slopes = [g.slopes(here, changes[:i], changes[i + 1 :], values) for i, g in enumerate(guesses)]
-    return fitted, np.concatenate([own, law.whiten(np.concatenate(slopes)).T], axis=1)
+        return _Point(subject, guesses, fitted, own)
+    values = observe(subject, changes)
+    slopes = [g.slopes(subject, changes[:i], changes[i + 1 :], values) for i, g in enumerate(guesses)]
+    every = np.concatenate([own, law.whiten(np.concatenate(slopes)).T], axis=1)
+    return _Point(subject, guesses, fitted, every)
+
+
+def _stepped(
+    simulator: Simulator, law: NoiseLaw, target: Array, here: _Point, damping: float
+) -> tuple[_Point | None, float]:
+    """A lower point by one step, and how much lower."""
+    residual, normal = target - here.values, here.jacobian.T @ here.jacobian
+    scale = damping * np.diag(normal) + _RIDGE
+    step = np.asarray(np.linalg.solve(normal + np.diag(scale), here.jacobian.T @ residual), np.float64)
+    own = len(step) - sum(g.coordinates for g in here.guesses)
+    moved, other = simulator.moved(here.subject, step[:own]), _moved(here.guesses, step[own:])
+    after = target - law.whiten(observe(moved, tuple(g.change() for g in other)))
+    with np.errstate(over="ignore"):  # rates may go where curves explode, and come back
+        gained = float(residual @ residual - after @ after)
+    there = _point(simulator, moved, law, other) if gained > 0 else None
+    return (there if there is not None and there.is_finite else None), gained
 
 
 def _moved(guesses: tuple[Guess, ...], step: Array) -> tuple[Guess, ...]:

@@ -196,34 +196,42 @@ def _flying(t: float, q: Array, v: Array, p: Array, kit: Kit) -> Array:
 
 def _between_walls(rig: Rig, starts: Array, parameters: Array, kit: Kit, times: Array) -> Array:
     """Midpoint steps; who passes a wall goes back to the hit, turns round and flies on for the rest."""
-    half, found = rig.half, []
-    q, v, now = starts[:, :half].copy(), starts[:, half:].copy(), 0.0
+    half, found, now = rig.half, [], 0.0
+    q, v = starts[:, :half].copy(), starts[:, half:].copy()
 
     def faster(t: float, q: Array, v: Array) -> Array:
         return rig.pull(t, q, v, parameters, kit) + more(t, q, v, kit, half)
 
-    for goal in times:
+    for goal in map(float, times):
         steps = max(int(np.ceil((goal - now) / _SHORT)), 1) if goal > now else 0
-        for _ in range(steps):
-            h = (goal - now) / steps if steps else 0.0
-            a = faster(now, q, v)
-            mid = faster(now + h / 2, q + h / 2 * v, v + h / 2 * a)
-            q, v = q + h * v + 0.5 * h**2 * a, v + h * mid
-            past = np.abs(q) - rig.wall
-            hit = (past > 0) & (q * v > 0)
-            if hit.any():
-                each = np.where(hit, past / np.maximum(np.abs(v), 1e-9), 0.0)
-                since = each.max(axis=1, keepdims=True)
-                at, v = q - v * since + 0.5 * a * since**2, v - a * since
-                at = np.where(hit, np.sign(q) * rig.wall, at)
-                v = np.where(hit, -_kept(np.abs(v), kit) * v, v)
-                v = v * np.where(hit[:, ::-1], 1.0 - kit.get("wall_friction", 0.0), 1.0)
-                after = faster(now, at, v)
-                q, v = at + v * since + 0.5 * after * since**2, v + after * since
-            now, steps = now + h, steps - 1
-        now = float(goal)
+        for left in range(steps, 0, -1):
+            h = (goal - now) / left
+            q, v = _stepped(faster, rig.wall, kit, now, h, q, v)
+            now = now + h
+        now = goal
         found.append(q)
     return np.stack(found, axis=1)
+
+
+def _stepped(
+    faster: Callable[[float, Array, Array], Array], wall: float, kit: Kit, now: float, h: float, q: Array, v: Array
+) -> tuple[Array, Array]:
+    """Places and speeds a step later."""
+    a = faster(now, q, v)
+    mid = faster(now + h / 2, q + h / 2 * v, v + h / 2 * a)
+    q, v = q + h * v + 0.5 * h**2 * a, v + h * mid
+    past = np.abs(q) - wall
+    hit = (past > 0) & (q * v > 0)
+    if not hit.any():
+        return q, v
+    each = np.where(hit, past / np.maximum(np.abs(v), 1e-9), 0.0)
+    since = each.max(axis=1, keepdims=True)
+    at, then = q - v * since + 0.5 * a * since**2, v - a * since
+    at = np.where(hit, np.sign(q) * wall, at)
+    then = np.where(hit, -_kept(np.abs(then), kit) * then, then)
+    then = then * np.where(hit[:, ::-1], 1.0 - kit.get("wall_friction", 0.0), 1.0)
+    after = faster(now, at, then)
+    return at + then * since + 0.5 * after * since**2, then + after * since
 
 
 def _kept(speed: Array, kit: Kit) -> Array:

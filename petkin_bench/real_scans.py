@@ -179,7 +179,7 @@ def _cases(scan: _Recording, fitted: tuple[Fit, Noise] | None, rng: np.random.Ge
         )
     for name, blunder in _BLUNDERS.items():
         factor = blunder(scan.full.clock, rng)
-        for simulator in (scan.full, scan.cut("vascular_trapping")):
+        for simulator in (scan.cut("vascular_trapping"), scan.full):
             yield Case("blunder", name, (name,), values * factor, simulator, (values, simulator), factor)
 
 

@@ -20,9 +20,9 @@ Number = TypeVar("Number", np.float32, np.float64)
 
 
 def even_rows(matrix: NDArray[Number]) -> NDArray[Number]:
-    """The matrix, with a row of zeros where it has an odd number of them, as `multiply` takes it."""
+    """The matrix, row by row, with one of zeros where it has an odd number of them, as `multiply` takes it."""
     more = np.zeros((len(matrix) % 2, matrix.shape[1]), matrix.dtype)
-    return np.concatenate([matrix, more]) if len(more) else np.ascontiguousarray(matrix)
+    return np.ascontiguousarray(np.concatenate([matrix, more]) if len(more) else matrix)
 
 
 @njit(fastmath={"contract", "nsz"})

@@ -148,7 +148,9 @@ def _all(tables, tape, ends, values, percent, chi2, wanted, reached, scratch):
         for n in range(count):
             reached[start + n] = np.int16(w[_REACHED * LANES + n])
         if not wanted:
-            percent[:, start : start + count] = np.nan
+            for m in range(len(percent)):
+                for n in range(count):
+                    percent[m, start + n] = np.nan
             continue
         place(memory, outputs, exponentials, low, spacing, float(len(own)), position, w)
         alone = exponentials == 1 and parameters <= normal_one.PARAMETERS

@@ -40,8 +40,8 @@ class Lens(NamedTuple):
 
 
 def lens(packed: Compression, weights: Array) -> Lens:
-    """For one thread."""
-    axes = even_rows(packed.project)
+    """For one thread; all arrays may be written to and lie row by row, so that compiled passes are of one kind."""
+    axes, weights = even_rows(packed.project), np.require(weights, requirements=["C", "W"])
     rows, frames = axes.shape
     every = np.ascontiguousarray(packed.basis.sum(axis=0))
     return Lens(axes, weights, every, np.zeros(frames * BLOCK), np.empty(rows * BLOCK), *np.empty((3, BLOCK)))

@@ -243,7 +243,7 @@ def travelled(body: Body, own: Array, shared: Array, effects: Effects) -> Array:
     starts = np.ascontiguousarray(own.reshape(-1, own.shape[-1]), np.float64)
     sizes = body.sizes(effects)
     step = body.interval * (1.0 + sizes["frame_rate"]) / body.steps
-    found = all_travelled(body.law, body.rate, starts, shared, sizes, step, body.steps, body.frames, body.wall)
+    found = all_travelled(body.law, body.rate, starts, shared, sizes, step, body.steps, body.frames, body.wall or None)
     return np.asarray(found.reshape(*own.shape[:-1], body.frames, body.dimensions), np.float64)
 
 

@@ -36,29 +36,35 @@ def pushed(t: float, e: Any) -> float:
 
 
 @compiled
+def _copy(there: Array, here: Array) -> None:
+    for i in range(len(here)):
+        here[i] = there[i]
+
+
+@compiled
 def speeds_alone(q: Array, v: Array, rate: Array) -> None:
     """Rates of places that are what they seem."""
-    rate[:] = v
+    _copy(v, rate)
 
 
 @compiled
 def all_travelled(
-    law: Any, rate: Any, starts: Array, shared: Array, e: Any, step: float, steps: int, frames: int, wall: float
+    law: Any, rate: Any, starts: Array, shared: Array, e: Any, step: float, steps: int, frames: int, wall: float | None
 ) -> Array:
-    """Places (runs, frames, n) of starts (runs, 2 n), in so many steps a frame."""
+    """Places (runs, frames, n) of starts (runs, 2 n), in so many steps a frame; without a wall none is compiled."""
     half = starts.shape[1] // 2
     found, room = np.empty((len(starts), frames, half)), np.empty((10, half))
     moved, faster = np.empty(half), np.empty(half)
     for run in range(len(starts)):
         q, v = starts[run, :half].copy(), starts[run, half:].copy()
-        found[run, 0] = q
+        _copy(q, found[run, 0])
         for k in range((frames - 1) * steps):
-            if wall > 0.0:
-                _between_walls(law, rate, k * step, step, q, v, shared, e, wall, moved, faster, room)
-            else:
+            if wall is None:
                 _stepped(law, rate, k * step, step, q, v, shared, e, room)
+            else:
+                _between_walls(law, rate, k * step, step, q, v, shared, e, wall, moved, faster, room)
             if (k + 1) % steps == 0:
-                found[run, (k + 1) // steps] = q
+                _copy(q, found[run, (k + 1) // steps])
     return found
 
 
@@ -66,7 +72,8 @@ def all_travelled(
 def _stepped(law: Any, rate: Any, t: float, h: float, q: Array, v: Array, shared: Array, e: Any, room: Array) -> None:
     """Places and speeds (n,) moved on by h."""
     places, speeds = room[8], room[9]
-    places[:], speeds[:] = q, v
+    _copy(q, places)
+    _copy(v, speeds)
     for stage in range(4):
         rate(places, speeds, room[stage])
         late = 0.0 if stage == 0 else h if stage == 3 else 0.5 * h
@@ -98,7 +105,8 @@ def _between_walls(
     """A step that ends at the first wall, turns round, and goes on for what is left of it."""
     left = h
     for _ in range(_BOUNCES):
-        moved[:], faster[:] = q, v
+        _copy(q, moved)
+        _copy(v, faster)
         _stepped(law, rate, t, left, moved, faster, shared, e, room)
         first, axis = 2.0, -1
         for i in range(len(q)):
@@ -109,7 +117,8 @@ def _between_walls(
                 if share < first:
                     first, axis = share, i
         if axis < 0:
-            q[:], v[:] = moved, faster
+            _copy(moved, q)
+            _copy(faster, v)
             return
         there = math.copysign(wall, moved[axis])
         _stepped(law, rate, t, first * left, q, v, shared, e, room)

@@ -61,22 +61,25 @@ class View:
     """What the contrasts of one family of fields see, whatever they may hold besides.
 
     Args:
+        voxels: of a segmentation.
         weights: (F, N).
         regions: of these regions (R,).
-        rows: contrasts (F R, K).
-        every: what unit gains add to them (F, F R, K).
+        every: what unit gains add to contrasts (F, F R, K).
         parts: the same of windows (n, F R, K).
-        there: what they may hold of an image that stays as it is (m, F R, K).
         known: what effects that have a name add, by their amplitude and by its square.
     """
 
+    voxels: Voxels
     weights: Array
     regions: NDArray[np.intp]
-    rows: Array
     every: Array
     parts: Array
-    there: Array
     known: Mapping[str, tuple[Array, Array]]
+
+    @property
+    def rows(self) -> Array:
+        """Contrasts (F R, K)."""
+        return beside(self.voxels, self.weights, self.regions)
 
     def departure(self, held: Sequence[Held], times: Array, least: float) -> Departure:
         """Where these contrasts may depart.
@@ -86,9 +89,9 @@ class View:
             times: of the frames (K,), min.
             least: smallest standard deviation that noise may have.
         """
-        nuisance = np.concatenate([each(self.weights, self.regions) for each in held])
-        bare = Family.of(self.rows, nuisance, np.eye(len(self.rows)), least)
-        family = bare.holding(self.there, times=_TIMES)
+        rows, nuisance = self.rows, np.concatenate([each(self.weights, self.regions) for each in held])
+        bare = Family.of(rows, nuisance, np.eye(len(rows)), least)
+        family = bare.holding(there(self.voxels, self.weights, self.regions), times=_TIMES)
         return Departure(family, self.every, np.maximum(times, 0.0), self.parts, self.known)
 
 
@@ -114,8 +117,7 @@ def views_of(voxels: Voxels, named: Mapping[str, Maps], *, least: float) -> list
             name: (added(voxels, weights, regions, a), added(voxels, weights, regions, b))
             for name, (a, b) in named.items()
         }
-        rows, still = beside(voxels, weights, regions), there(voxels, weights, regions)
-        found.append(View(weights, regions, rows, every, parts, still, known))
+        found.append(View(voxels, weights, regions, every, parts, known))
     return found
 
 

@@ -151,13 +151,12 @@ def look(voxels: Voxels, simulator: RegionalSimulator, names: frozenset[str], *,
     patterns += [pattern for contrast in contrasts for pattern in _patterns(contrast, scene, simulator)]
     patterns = [pattern for pattern in patterns if pattern.name in names]
     least = simulator.accuracy * float(np.median(np.abs(voxels.fit.values) / voxels.spread)) + 1e-300
-
     views = views_of(scene.voxels, _named(scene, contrasts), least=least)
 
     def asked(still: Voxels, variation: Variation) -> Contrasted:
         varying = Variation.of(still, [blurring])
-        held = _held(blurring.weights[None], varying, standing)
-        families = {"blur": Family.of(sums, held, blurring.noise, least)}
+        blurred = Family.of(sums, _held(blurring.weights[None], varying, standing), blurring.noise, least)
+        families = {"blur": blurred}
         families |= {each.family: _family(each, scene, calm, variation, standing, least) for each in contrasts}
         held = (variation.joint, standing.joint)
         unnamed = [view.departure(held, simulator.clock.frames.mid, least) for view in views]

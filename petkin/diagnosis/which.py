@@ -101,7 +101,7 @@ def singles(
         blunder = name in flags and blatant
         patient = not blunder and (glaring or name in flags)
         if blunder:
-            usual = State(simulator.starts[0], base.state.shared, (*base.state.terms, terms[0]))
+            usual = _at_usual_values(simulator, base, (terms[0],))
             tried.append(refitted(simulator, data, noise, base, usual, ahead, steps=_WAY))
             ahead, top = max(ahead, tried[-1].gain), max(top, tried[-1].log_evidence)
         for term in (*terms, *_other_way(terms[0])):
@@ -182,6 +182,11 @@ def _from_afar(simulator: Simulator, data: Array, noise: Noise, base: Fit, near:
     return max(near, *found, key=lambda c: c.gain)
 
 
+def _at_usual_values(simulator: Simulator, base: Fit, terms: tuple[Term, ...]) -> State:
+    """Where a refit with more terms begins that does not trust the simulator's own fit."""
+    return State(simulator.starts[0], base.state.shared, (*base.state.terms, *terms))
+
+
 def as_promised(
     simulator: Simulator,
     data: Array,
@@ -199,8 +204,7 @@ def as_promised(
     """
     if found.bare > score - _APART:
         return found
-    start = State(simulator.starts[0], base.state.shared, (*base.state.terms, *terms))
-    other = refitted(simulator, data, noise, base, start, ahead)
+    other = refitted(simulator, data, noise, base, _at_usual_values(simulator, base, terms), ahead)
     return other if other.gain > found.gain else found
 
 

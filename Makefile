@@ -7,6 +7,9 @@ READY := $(VENV)/.installed
 # Folder of the common benchmark curves; without it, speed alone is measured.
 BENCH_DATA ?= ../shared/data/bench
 
+# Bytecode is kept whatever the shell says: each process would else compile its libraries anew, torch alone for 3 s.
+export PYTHONDONTWRITEBYTECODE =
+
 .PHONY: install demo test lint bench notebooks clean
 
 install: $(READY)

@@ -12,7 +12,7 @@ from petkin.diagnosis.effect import Coordinates, Hypothesis, Profiles, Shape, Si
 from petkin.diagnosis.families import Family
 from petkin.diagnosis.how_far import Interval
 from petkin.diagnosis.member import Member
-from petkin.diagnosis.noise import second_differences
+from petkin.diagnosis.noise import medians, second_differences
 from petkin.diagnosis.nominal import Base, base_fit
 from petkin.diagnosis.refit import Fit, State, of_nuisance
 from petkin.diagnosis.sets import ALIKE, smallest_set
@@ -74,6 +74,7 @@ __all__ = [
     "indistinct",
     "judge_contrasts",
     "map_states",
+    "medians",
     "of_nuisance",
     "second_differences",
     "silent",

@@ -94,7 +94,8 @@ class Spread:
         count = self.size.shape[-1]
         size, axes = self.size.reshape(-1, count), self.axes.reshape(-1, count, count)
         scores = score.reshape(-1, *size.shape)
-        return _together(*map(np.ascontiguousarray, (scores, size, axes))).reshape(score.shape[:-1])
+        turned = np.matmul(scores.swapaxes(0, 1), axes).swapaxes(0, 1)
+        return _together(*map(np.ascontiguousarray, (turned, size))).reshape(score.shape[:-1])
 
     def by_channel(self, score: Array, alike: bool, signed: bool) -> Array:
         """The same of amplitudes that differ between channels: all of them, or one alone; where alike, by a share of
@@ -212,9 +213,9 @@ def _about(score, size, axes):
 
 
 @njit()
-def _together(score, size, axes):
-    """log B of every draw and every effect (draws, effects), averaged over the widths."""
-    draws, effects, count = score.shape
+def _together(turned, size):
+    """log B of every draw and every effect (draws, effects), averaged over the widths, of scores along the axes."""
+    draws, effects, count = turned.shape
     found = np.empty((draws, effects))
     share, volume, parts = np.empty((WIDTHS.size, count)), np.empty(WIDTHS.size), np.empty(WIDTHS.size)
     for e in range(effects):
@@ -228,11 +229,9 @@ def _together(score, size, axes):
             for w in range(WIDTHS.size):
                 parts[w] = -volume[w]
             for j in range(count):
-                turned = 0.0
-                for i in range(count):
-                    turned += score[b, e, i] * axes[e, i, j]
+                square = turned[b, e, j] ** 2
                 for w in range(WIDTHS.size):
-                    parts[w] += turned * turned * share[w, j]
+                    parts[w] += square * share[w, j]
             top = parts.max()
             total = 0.0
             for w in range(WIDTHS.size):

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise, common_axis
 from petkin.diagnosis.noise import without_jumps
+from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
@@ -53,20 +54,27 @@ def log_evidence(each: Array) -> Array:
         variance = np.maximum((total - along * size[..., -1]) / count, _QUIET**2)
         value = 0.5 * count * np.log(even / variance) + 0.5 * total * (1.0 / even - 1.0 / variance)
         value = value - 0.5 * samples * np.log1p(excess)
-        found.append(value + _over_directions(size * (0.5 * along / variance)[..., None]))
+        sized = size * (0.5 * along / variance)[..., None]
+        found.append(value + _over_directions(sized.reshape(-1, sized.shape[-1])).reshape(value.shape))
     return evidence.mean(np.stack(found, axis=-1))
 
 
-def _over_directions(size: Array) -> Array:
-    """ln of the mean of exp(p'Ap) over directions p, from the eigenvalues of A (..., n), ascending."""
-    count = size.shape[-1]
-    low, high = size[..., -1] + 0.5, size[..., -1] + 0.5 * count
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        beyond = (0.5 / (middle[..., None] - size)).sum(axis=-1) > 1.0
-        low, high = np.where(beyond, middle, low), np.where(beyond, high, middle)
-    t = 0.5 * (low + high)
-    left = t[..., None] - size
+@njit()
+def _over_directions(size):
+    """ln of the mean of exp(p'Ap) over directions p, from the eigenvalues of A (n, channels), ascending."""
+    count = size.shape[1]
     even = 0.5 * count
-    mine = t - 0.5 * np.log(left).sum(axis=-1) - 0.5 * np.log((0.5 / left**2).sum(axis=-1))
-    return mine - (even - even * np.log(even) - 0.5 * np.log(1.0 / even))
+    found = np.empty(len(size))
+    for i in range(len(size)):
+        low, high = size[i, -1] + 0.5, size[i, -1] + even
+        for _ in range(_HALVINGS):
+            middle, slope = 0.5 * (low + high), 0.0
+            for each in size[i]:
+                slope += 0.5 / (middle - each)
+            low, high = (middle, high) if slope > 1.0 else (low, middle)
+        t, logs, bend = 0.5 * (low + high), 0.0, 0.0
+        for each in size[i]:
+            logs += np.log(t - each)
+            bend += 0.5 / (t - each) ** 2
+        found[i] = t - 0.5 * logs - 0.5 * np.log(bend) - (even - even * np.log(even) - 0.5 * np.log(1.0 / even))
+    return found

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from petkin.diagnosis.evidence import mean, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
@@ -93,7 +94,7 @@ def mixture(own: Array, common: Sequence[Common], background: Array, *, share: f
     chance = np.log(np.concatenate([[1.0 - share if common else 1.0], *chances]))
     ratio = np.exp(np.clip(every - background[:, None], -_LARGEST, _LARGEST))
     logs = _products(ratio, _PREVALENCES) + chance[:, None] + background.sum(axis=-1)[:, None, None]
-    total = float(np.logaddexp.reduce(logs, axis=None))
+    total = float(logsumexp(logs))
     q, v, p = np.nonzero(logs > total - _FAINT)
     weight = np.exp(logs[q, v, p] - total)
     weight /= weight.sum()
@@ -126,6 +127,8 @@ def _products(ratio, prevalences):
     """ln prod_i (1 - pi + pi r_i) of ratios (Q, V, N) at every prevalence (Q, V, P), less what none or one of the
     members makes, given that two or more have it."""
     count = ratio.shape[2]
+    none = np.log(1.0 - prevalences)
+    usual = np.exp((count - 1) * none) * (1.0 - prevalences + prevalences * count)
     found = np.empty((ratio.shape[0], ratio.shape[1], prevalences.size))
     for q in range(ratio.shape[0]):
         for v in range(ratio.shape[1]):
@@ -140,10 +143,9 @@ def _products(ratio, prevalences):
                     if not 1e-100 < product < 1e100:
                         log, product = log + np.log(product), 1.0
                 log += np.log(product)
-                few = (count - 1) * np.log(1.0 - having)
+                few = (count - 1) * none[p]
                 least = np.exp(min(few + np.log(1.0 - having + having * total) - log, 0.0))
-                usual = np.exp(few) * (1.0 - having + having * count)
-                found[q, v, p] = log + np.log(max(1.0 - least, 1e-12)) - np.log(1.0 - usual)
+                found[q, v, p] = log + np.log(max(1.0 - least, 1e-12) / (1.0 - usual[p]))
     return found
 
 

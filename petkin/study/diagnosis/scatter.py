@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, log_ndtr, ndtr
 
-from petkin.diagnosis import Z90, Base, Fit
+from petkin.diagnosis import Z90, Base, Fit, medians
 from petkin.study.diagnosis.noise_law import COUNTS, NoiseLaw, contrasts, terms
 from petkin.study.diagnosis.regional import RegionalSimulator
 
@@ -275,7 +275,7 @@ def _of_frames(seen: Array, null: Array, x: Array) -> Array:
 def _logs(residuals: Array, variance: Array) -> Array:
     """Sizes of differences of residuals (..., R, K - 2) as the top of the page has them, less their region's mean."""
     squares = np.diff(residuals, n=2, axis=-1) ** 2 / variance
-    usual = np.median(squares, axis=-1, keepdims=True) / _MEDIAN + 1e-300
+    usual = medians(squares) / _MEDIAN + 1e-300
     logs = 0.5 * np.log(np.minimum(squares / usual, _JUMP) + _SOFT)
     return np.asarray(logs - logs.mean(axis=-1, keepdims=True))
 

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from petkin.diagnosis.evidence import mean, one_sided, two_sided
 from petkin.diagnosis.how_far import Interval
@@ -94,7 +93,7 @@ def mixture(own: Array, common: Sequence[Common], background: Array, *, share: f
     chance = np.log(np.concatenate([[1.0 - share if common else 1.0], *chances]))
     ratio = np.exp(np.clip(every - background[:, None], -_LARGEST, _LARGEST))
     logs = _products(ratio, _PREVALENCES) + chance[:, None] + background.sum(axis=-1)[:, None, None]
-    total = float(logsumexp(logs))
+    total = float(mean(logs.ravel()) + np.log(logs.size))
     q, v, p = np.nonzero(logs > total - _FAINT)
     weight = np.exp(logs[q, v, p] - total)
     weight /= weight.sum()

@@ -32,8 +32,8 @@ _OFFSET = 0.004
 _RATES = np.concatenate([[0.0], np.geomspace(3e-4, 15.0, 95)])
 #: Added to a + lambda where it divides, 1/min.
 _LEAST = 1e-7
-#: Digits of a minute to which steps are told apart.
-_DIGITS = 12
+#: Digits of a minute to which steps are told apart; y is kept at every so many nodes, which a core holds at hand.
+_DIGITS, _EVERY = 12, 8
 
 
 class Responses(Protocol):
@@ -145,12 +145,9 @@ def _unshifted(forcing: Forcing) -> tuple[Forcing, float]:
 
 @dataclass(frozen=True)
 class _March:
-    """y of every rate and U = int u, decayed, at the nodes of an input that is read `delay` minutes late."""
+    """y of every rate and U = int u, decayed, of an input that is read `delay` minutes late; see `_walk`."""
 
-    nodes: Array
-    u: Array
-    y: Array
-    area: Array
+    walked: tuple[Any, ...]
     delay: float
     decay: float
 
@@ -160,31 +157,28 @@ class _March:
         if clock.mid_frame:
             return self._mid_frame(clock, sinks)
         frames = clock.frames
-        integral = _counted(
-            self.nodes, self.u, self.y, self.area, sinks, frames.start - self.delay, frames.end - self.delay
-        )
+        integral = _counted(self.walked, sinks, frames.start - self.delay, frames.end - self.delay)
         gone = math.exp(-self.decay * self.delay)  # decay over the delay: the input is decay-corrected to injection
         return (gone / clock.divisor) * (integral[:-1] if sinks.size else integral[-1])
 
     def _mid_frame(self, clock: FrameObservation, sinks: Array) -> Array:
         mid = clock.frames.mid - self.delay
-        if sinks.size:
-            curve = _at(self.nodes, self.u, self.y, self.area, sinks, mid)[:, :-1].T
-        else:
-            curve = np.interp(mid, self.nodes, self.u, left=0.0)
+        times, u, *_ = self.walked
+        curve = _at(self.walked, sinks, mid)[:, :-1].T if sinks.size else np.interp(mid, times, u, left=0.0)
         return curve * np.exp(self.decay * mid) * clock.gain_or_one
 
 
 @lru_cache(maxsize=64)
-def _marched(forcing: Forcing, decay: float, nodes: bytes) -> tuple[Array, Array, Array, Array]:
+def _marched(forcing: Forcing, decay: float, nodes: bytes) -> tuple[Any, ...]:
+    """Nodes, u, y at some of them, U, and the weights of every step: what `_reach` takes."""
     times = np.frombuffer(nodes).copy()
     u = np.asarray(forcing(times), np.float64) * np.exp(-decay * times)
-    y, area = _walk(times, u, *_steps(decay, nodes))
-    return times, u, y, area
+    weights, which = _steps(decay, nodes)
+    return times, u, *_walk(times, u, weights, which), weights, which
 
 
 def _march(forcing: Forcing, delay: float, decay: float, nodes: bytes) -> _March:
-    return _March(*_marched(forcing, decay, nodes), delay, decay)
+    return _March(_marched(forcing, decay, nodes), delay, decay)
 
 
 @njit()
@@ -207,47 +201,57 @@ def _steps(decay: float, nodes: bytes) -> tuple[Array, NDArray[np.intp]]:
 
 @njit()
 def _walk(times, u, weights, which):
-    """y (nodes, rates) and U at the nodes."""
-    count = weights.shape[2]
-    y, area = np.empty((times.size, count)), np.zeros(times.size)
-    for r in range(count):
-        y[0, r] = 0.0
-    for i in range(times.size - 1):
-        area[i + 1] = area[i] + 0.5 * (times[i + 1] - times[i]) * (u[i] + u[i + 1])
-        kept, first, last = weights[which[i]]
-        for r in range(count):
-            y[i + 1, r] = kept[r] * y[i, r] + first[r] * u[i] + last[r] * u[i + 1]
+    """y at every `_EVERY`-th node (nodes, rates), and U at all."""
+    area, here = np.zeros(times.size), np.zeros(weights.shape[2])
+    y = np.empty((1 + (times.size - 1) // _EVERY, here.size))
+    for i in range(times.size):
+        if i % _EVERY == 0:
+            y[i // _EVERY] = here
+        if i + 1 < times.size:
+            area[i + 1] = area[i] + 0.5 * (times[i + 1] - times[i]) * (u[i] + u[i + 1])
+            _take(here, weights, which[i], u[i], u[i + 1])
     return y, area
 
 
 @njit()
-def _reach(times, u, y, area, rates, t, found):
-    """y of every rate and, last, U at a time; zero before the first node, the input held after the last."""
-    if t <= times[0]:
-        for r in range(found.size):
-            found[r] = 0.0
-        return
-    i = min(np.searchsorted(times, t, side="right") - 1, times.size - 1)
-    d, here = t - times[i], u[i]
-    if i + 1 < times.size:
-        here = u[i] + (u[i + 1] - u[i]) * d / (times[i + 1] - times[i])
-    for r in range(rates.size):
-        kept, first, last = step(rates[r], d)
-        found[r] = kept * y[i, r] + first * u[i] + last * here
-    found[-1] = area[i] + 0.5 * d * (u[i] + here)
+def _take(y, weights, which, before, after):
+    """A step of y; rows of weights are passed by number: views of them would cost more than the sums."""
+    for r in range(y.size):
+        y[r] = weights[which, 0, r] * y[r] + weights[which, 1, r] * before + weights[which, 2, r] * after
 
 
 @njit()
-def _at(times, u, y, area, rates, wanted):
+def _reach(walked, rates, t, found):
+    """y of every rate and, last, U at a time; zero before the first node, the input held after the last."""
+    times, u, y, area, weights, which = walked
+    if t <= times[0]:
+        found[:] = 0.0
+        return
+    i = min(np.searchsorted(times, t, side="right") - 1, times.size - 1)
+    here = found[:-1]
+    here[:] = y[i // _EVERY, : here.size]
+    for k in range(i // _EVERY * _EVERY, i):
+        _take(here, weights, which[k], u[k], u[k + 1])
+    d, now = t - times[i], u[i]
+    if i + 1 < times.size:
+        now = u[i] + (u[i + 1] - u[i]) * d / (times[i + 1] - times[i])
+    for r in range(here.size):
+        kept, first, last = step(rates[r], d)
+        here[r] = kept * here[r] + first * u[i] + last * now
+    found[-1] = area[i] + 0.5 * d * (u[i] + now)
+
+
+@njit()
+def _at(walked, rates, wanted):
     """The same at many times (times, rates + 1)."""
     found = np.empty((wanted.size, rates.size + 1))
     for k in range(wanted.size):
-        _reach(times, u, y, area, rates, wanted[k], found[k])
+        _reach(walked, rates, wanted[k], found[k])
     return found
 
 
 @njit()
-def _counted(times, u, y, area, rates, start, end):
+def _counted(walked, rates, start, end):
     """Integrals over frames of the response to every rate, (dU - dy) / a, and, last, of u (rates + 1, frames)."""
     found = np.empty((rates.size + 1, start.size))
     before, after = np.empty(rates.size + 1), np.empty(rates.size + 1)
@@ -255,8 +259,8 @@ def _counted(times, u, y, area, rates, start, end):
         if k > 0 and start[k] == end[k - 1]:
             before, after = after, before
         else:
-            _reach(times, u, y, area, rates, start[k], before)
-        _reach(times, u, y, area, rates, end[k], after)
+            _reach(walked, rates, start[k], before)
+        _reach(walked, rates, end[k], after)
         gained = after[-1] - before[-1]
         for r in range(rates.size):
             found[r, k] = (gained - (after[r] - before[r])) / max(rates[r], _LEAST)

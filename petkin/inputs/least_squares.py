@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-#: Starts that are polished, out of the grid.
-_POLISHED = 4
+#: Starts that are polished, out of the grid; steps of difference quotients, in parameters or in 1, whichever is more.
+_POLISHED, _STEP = 4, float(np.sqrt(np.finfo(float).eps))
 
 Curve = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
@@ -50,7 +50,7 @@ def fit_curve(
     """Least squares of curve(times, parameters) - values within bounds: a grid of starts, the best few of it polished.
 
     Args:
-        curve: function of times (samples,) and parameters (parameters,).
+        curve: function of times (samples,) and parameters (parameters,), or of many at once (parameters, n, 1).
         times: (samples,).
         values: (samples,).
         bounds: lower and upper bound of each parameter.
@@ -62,13 +62,21 @@ def fit_curve(
     from scipy.optimize import least_squares
 
     lower, upper = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
-    grid = [np.clip(np.array(point), lower, upper) for point in itertools.product(*starts)]
-    grid.sort(key=lambda point: float(np.square(curve(times, point) - values).sum()))
+
+    def left(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return curve(times, p) - values
+
+    def slopes(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        step = _STEP * np.maximum(1.0, np.abs(p))
+        step = np.where(p + step > upper, -step, step)
+        moved = p[:, None] + np.diag(step)
+        return ((curve(times, moved[:, :, None]) - curve(times, p)) / step[:, None]).T
+
+    grid = np.clip(np.array(list(itertools.product(*starts))), lower, upper)
+    grid = grid[np.argsort(np.square(left(grid.T[:, :, None])).sum(axis=-1), kind="stable")]
     scale = np.maximum(np.abs(grid[0]), 1e-3)
     results = [
-        least_squares(
-            lambda p: curve(times, p) - values, start, bounds=(lower, upper), x_scale=scale, xtol=1e-12, ftol=1e-12
-        )
+        least_squares(left, start, slopes, bounds=(lower, upper), x_scale=scale, xtol=1e-12, ftol=1e-12)
         for start in grid[:_POLISHED]
     ]
     best = min(results, key=lambda result: result.cost)

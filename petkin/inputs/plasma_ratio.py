@@ -31,7 +31,7 @@ _LEVELS = (0.6, 1.0, 1.5)
 
 #: r = p0; r = p0 + p1 t; r = p1 + (p0 - p1) e^{-p2 t} (exchange with the cells, rise of the metabolites).
 PLASMA_RATIO_MODELS = {
-    "constant": PlasmaRatioModel(lambda t, p: np.full_like(t, p[0]), ((0, 20),), (_LEVELS,)),
+    "constant": PlasmaRatioModel(lambda t, p: p[0] + 0.0 * t, ((0, 20),), (_LEVELS,)),
     "linear": PlasmaRatioModel(lambda t, p: p[0] + p[1] * t, ((0, 20), (-1, 1)), (_LEVELS, (-0.003, 0.003))),
     "exponential": PlasmaRatioModel(
         lambda t, p: p[1] + (p[0] - p[1]) * np.exp(-p[2] * t),

@@ -60,9 +60,8 @@ class Simulator:
         delay = subject.delay + (float(np.clip(step[-1], -0.2, 0.2)) if self.delay else 0.0)
         return replace(subject, rates=rates, vB=vB, delay=delay)
 
-    def jacobian(self, subject: Subject, law: NoiseLaw, changes: tuple[Change, ...] = ()) -> tuple[Array, Array]:
-        """Whitened values, and their derivatives by every coordinate; regions are moved together."""
-        here = observe(subject, changes)
+    def jacobian(self, subject: Subject, law: NoiseLaw, here: Array, changes: tuple[Change, ...] = ()) -> Array:
+        """Whitened derivatives by every coordinate of the values here (R, K); regions are moved together."""
         regions, own = len(subject.rates), self.own()
         columns = np.zeros((regions * own + self.delay, *here.shape))
         for p in range(own):
@@ -75,7 +74,7 @@ class Simulator:
             step = np.zeros(regions * own + 1)
             step[-1] = _QUOTIENT
             columns[-1] = (observe(self.moved(subject, step), changes) - here) / _QUOTIENT
-        return law.whiten(here), law.whiten(columns).T
+        return law.whiten(columns).T
 
 
 class Guess(Protocol):
@@ -128,7 +127,8 @@ def seen(values: Array, simulator: Simulator, subject: Subject, law: NoiseLaw, g
     Guesses at which curves explode explain nothing: their chi2 is infinite.
     """
     target, damping = law.whiten(values), 1e-4
-    here = _point(simulator, simulator.start(subject), law, guesses)
+    start = simulator.start(subject)
+    here = _point(simulator, start, law, guesses, observe(start, _changes(guesses)))
     if not here.is_finite:
         return Seen(target, np.zeros((target.size, 0)), here.subject, float("inf"), guesses)
     for _ in range(_STEPS):
@@ -160,15 +160,18 @@ class _Point:
         return bool(np.isfinite(self.jacobian).all())
 
 
-def _point(simulator: Simulator, subject: Subject, law: NoiseLaw, guesses: tuple[Guess, ...]) -> _Point:
-    changes = tuple(g.change() for g in guesses)
-    fitted, own = simulator.jacobian(subject, law, changes)
-    if not any(g.coordinates for g in guesses):
-        return _Point(subject, guesses, fitted, own)
-    values = observe(subject, changes)
-    slopes = [g.slopes(subject, changes[:i], changes[i + 1 :], values) for i, g in enumerate(guesses)]
-    every = np.concatenate([own, law.whiten(np.concatenate(slopes)).T], axis=1)
-    return _Point(subject, guesses, fitted, every)
+def _point(simulator: Simulator, subject: Subject, law: NoiseLaw, guesses: tuple[Guess, ...], values: Array) -> _Point:
+    """A point with such values (R, K)."""
+    changes = _changes(guesses)
+    own = simulator.jacobian(subject, law, values, changes)
+    if any(g.coordinates for g in guesses):
+        slopes = [g.slopes(subject, changes[:i], changes[i + 1 :], values) for i, g in enumerate(guesses)]
+        own = np.concatenate([own, law.whiten(np.concatenate(slopes)).T], axis=1)
+    return _Point(subject, guesses, law.whiten(values), own)
+
+
+def _changes(guesses: tuple[Guess, ...]) -> tuple[Change, ...]:
+    return tuple(g.change() for g in guesses)
 
 
 def _stepped(
@@ -180,10 +183,11 @@ def _stepped(
     step = np.asarray(np.linalg.solve(normal + np.diag(scale), here.jacobian.T @ residual), np.float64)
     own = len(step) - sum(g.coordinates for g in here.guesses)
     moved, other = simulator.moved(here.subject, step[:own]), _moved(here.guesses, step[own:])
-    after = target - law.whiten(observe(moved, tuple(g.change() for g in other)))
+    values = observe(moved, _changes(other))
+    after = target - law.whiten(values)
     with np.errstate(over="ignore"):  # rates may go where curves explode, and come back
         gained = float(residual @ residual - after @ after)
-    there = _point(simulator, moved, law, other) if gained > 0 else None
+    there = _point(simulator, moved, law, other, values) if gained > 0 else None
     return (there if there is not None and there.is_finite else None), gained
 
 

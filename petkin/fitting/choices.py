@@ -21,6 +21,7 @@ class Choices:
         window: start and end of the time that uptake values are averaged over, min; None: from t* to the end.
         share: symbols that all regions of a scan have in common.
         certify: whether voxels too are proven to be near the best of all fits, where the method can.
+        scrutiny: whether regions are asked for other minima, for asymmetry and for that proof, where it can.
         device: where torch searches voxels of compartment models, e.g. "cuda"; None for compiled code on the CPU.
         checkpoint: what a learned method learned.
     """
@@ -32,5 +33,6 @@ class Choices:
     window: tuple[float, float] | None = None
     share: tuple[str, ...] = ()
     certify: bool = False
+    scrutiny: bool = True
     device: str | None = None
     checkpoint: Path | None = None

@@ -43,7 +43,7 @@ def compartments(model: CompartmentModel) -> Method:
         if not shared:
             chosen = nonlinear_settings(model, choices, voxels)
             result = fit_curves(curves, arterial, seen, weights, chosen)
-            if voxels and not choices.certify:
+            if not (choices.certify if voxels else choices.scrutiny):
                 return result
             table = tabulate(arterial, seen, chosen)
             return certified(result, curves, table, chosen) if voxels else looked_into(result, curves, table, chosen)

@@ -23,7 +23,7 @@ def mid_frame_shift(averaged: FitResult, method: Method, curves: RegionalCurves,
         choices: the same as for the fit.
     """
     at_middle = replace(given, observation=FrameObservation(curves.frames, mid_frame=True))
-    read = method.fit(curves.values, at_middle, choices, False)
+    read = method.fit(curves.values, at_middle, replace(choices, scrutiny=False), False)
     with np.errstate(all="ignore"):
         moved = {e.symbol: 100.0 * (read[e.symbol] / e.value - 1.0) for e in averaged.estimates}
     parts = [f"{s} {np.median(m[np.isfinite(m)]):+.2g} %" for s, m in moved.items() if np.isfinite(m).any()]

@@ -18,6 +18,7 @@ from petkin.diagnosis.how_far import closure
 from petkin.diagnosis.noise import levels, lowered
 from petkin.diagnosis.nominal import Base, base_fit, least_noise
 from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.occam import spared
 from petkin.diagnosis.pairs import pairs
 from petkin.diagnosis.profile import profiles
 from petkin.diagnosis.refit import Fit, begun, refit
@@ -26,7 +27,7 @@ from petkin.diagnosis.sets import LAPSE, LAPSE_WITHIN, confusability, probabilit
 from petkin.diagnosis.unknown import Elsewhere, Smooth, beside, driven, left_beside
 from petkin.diagnosis.verdict import Cause, Diagnosis
 from petkin.diagnosis.where import over
-from petkin.diagnosis.which import Candidate, again, refitted, singles, spared
+from petkin.diagnosis.which import Candidate, again, refitted, singles
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -12,11 +12,12 @@ from scipy.special import erfc
 from petkin.diagnosis import evidence
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Simulator, Term
+from petkin.diagnosis.occam import columns_of, informed
 from petkin.diagnosis.refit import Fit, shape_of
 from petkin.diagnosis.scan import Scan, starts
 from petkin.diagnosis.strength import Z90, Estimate, Strength
 from petkin.diagnosis.where import Place, benjamini_hochberg
-from petkin.diagnosis.which import Candidate, columns_of, informed
+from petkin.diagnosis.which import Candidate
 
 Array = NDArray[np.float64]
 

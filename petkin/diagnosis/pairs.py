@@ -20,9 +20,10 @@ from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.effect import Hypothesis, Simulator, Term, foreknown
 from petkin.diagnosis.evidence import SECOND
 from petkin.diagnosis.nuisance import Projection
+from petkin.diagnosis.occam import after_refit
 from petkin.diagnosis.refit import Fit, begun
 from petkin.diagnosis.scan import Scan, Template, starts
-from petkin.diagnosis.which import Candidate, after_refit, as_promised, excess, halfway, refitted
+from petkin.diagnosis.which import Candidate, as_promised, excess, halfway, refitted
 
 Array = NDArray[np.float64]
 

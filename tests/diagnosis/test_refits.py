@@ -13,9 +13,10 @@ from petkin.diagnosis import Shape, Term
 from petkin.diagnosis.covariance import Noise
 from petkin.diagnosis.diagnose import _Explained, _explained, scan_of
 from petkin.diagnosis.nominal import base_fit
+from petkin.diagnosis.occam import _apart, after_refit
 from petkin.diagnosis.refit import Fit, State, _within, refit
 from petkin.diagnosis.scan import Scan, starts
-from petkin.diagnosis.which import Candidate, _apart, _with_rest, after_refit, as_promised, halfway, refitted
+from petkin.diagnosis.which import Candidate, _with_rest, as_promised, halfway, refitted
 
 from .decaying_channels import AVERAGED, HYPOTHESES, TRUTH, DecayingChannels, hypothesis, measured
 

@@ -206,15 +206,16 @@ def laws_in_common(
     alone = (None,) * len(scans)
     if len(scans) < 2:
         return alone
-    looks = []
+    looks, bases = [], []
     for simulator, values, _ in scans:
-        looks.append(look_at_scatter(simulator, base_fit(simulator, values), seed=seed))
+        bases.append(base_fit(simulator, values))
+        looks.append(look_at_scatter(simulator, bases[-1], seed=seed))
         told(len(looks))
     found = shared_law(looks)
     if found is None or not any(len(one.errors) for one in found):
         return found or alone
     for i, (simulator, values, candidates) in enumerate(scans):
-        detected = detect(simulator, values, candidates, seed=seed)
+        detected = detect(simulator, values, candidates, seed=seed, based=bases[i])
         if detected.present:
             likeliest = diagnose(simulator, values, candidates, always=always, seed=seed, detected=detected)
             looks[i] = _beside_causes(simulator, values, detected, likeliest, looks[i], seed=seed)

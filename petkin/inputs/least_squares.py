@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +76,8 @@ def fit_curve(
     grid = np.clip(np.array(list(itertools.product(*starts))), lower, upper)
     grid = grid[np.argsort(np.square(left(grid.T[:, :, None])).sum(axis=-1), kind="stable")]
     scale = np.maximum(np.abs(grid[0]), 1e-3)
-    results = [
-        least_squares(left, start, slopes, bounds=(lower, upper), x_scale=scale, xtol=1e-12, ftol=1e-12)
-        for start in grid[:_POLISHED]
-    ]
+    how: dict[str, Any] = {"jac": slopes, "bounds": (lower, upper), "x_scale": scale, "xtol": 1e-12, "ftol": 1e-12}
+    results = [least_squares(left, start, **how) for start in grid[:_POLISHED]]
     best = min(results, key=lambda result: result.cost)
     rss = float(2 * best.cost)
     errors = _standard_errors(best.jac, rss, best.active_mask)

@@ -91,11 +91,8 @@ class Spread:
 
     def together(self, score: Array) -> Array:
         """log B for G'Pr: (*batch, ..., n) to (*batch, ...)."""
-        count = self.size.shape[-1]
-        size, axes = self.size.reshape(-1, count), self.axes.reshape(-1, count, count)
-        scores = score.reshape(-1, *size.shape)
-        turned = np.matmul(scores.swapaxes(0, 1), axes).swapaxes(0, 1)
-        return _together(*map(np.ascontiguousarray, (turned, size))).reshape(score.shape[:-1])
+        turned, size, _ = self._turned(score)
+        return _together(turned, size).reshape(score.shape[:-1])
 
     def by_channel(self, score: Array, alike: bool, signed: bool) -> Array:
         """The same of amplitudes that differ between channels: all of them, or one alone; where alike, by a share of
@@ -118,11 +115,9 @@ class Spread:
 
     def about(self, score: Array, signed: bool) -> Array:
         """log B of amplitudes that are normal about one of them all, as wide as a share of it."""
-        count = self.size.shape[-1]
-        size, axes = self.size.reshape(-1, count), self.axes.reshape(-1, count, count)
-        scores = score.reshape(-1, *size.shape)
-        signs = (1.0, -1.0) if signed else (1.0,)
-        each = [_about(*map(np.ascontiguousarray, (sign * scores, size, axes))) for sign in signs]
+        turned, size, axes = self._turned(score)
+        along, signs = axes.sum(axis=1), (1.0, -1.0) if signed else (1.0,)
+        each = [_about(sign * turned, size, along) for sign in signs]
         return np.asarray(np.logaddexp.reduce(each).reshape(score.shape[:-1]) - np.log(len(each)), np.float64)
 
     def alone(self, score: Array, signed: bool) -> Array:
@@ -136,6 +131,13 @@ class Spread:
     def apart(self, score: Array) -> Array:
         """Every channel's amplitude in units of its error (..., n)."""
         return np.asarray((score[..., None, :] @ self.standard)[..., 0, :], np.float64)
+
+    def _turned(self, score: Array) -> tuple[Array, Array, Array]:
+        """G'Pr along the axes (draws, effects, n), and sizes and axes by effect."""
+        count = self.size.shape[-1]
+        size, axes = self.size.reshape(-1, count), self.axes.reshape(-1, count, count)
+        turned = np.matmul(score.reshape(-1, *size.shape).swapaxes(0, 1), axes)
+        return np.ascontiguousarray(turned.swapaxes(0, 1)), np.ascontiguousarray(size), axes
 
     def _lone(self, score: Array, signed: bool) -> Array:
         return _of_sign(score / np.sqrt(self.diagonal), signed)
@@ -180,16 +182,15 @@ def _two_sided(below, above, occam):
 
 
 @njit()
-def _about(score, size, axes):
-    """log B of every draw and every effect (draws, effects), averaged over how large the amplitudes are about."""
-    draws, effects, count = score.shape
-    found, parts, along = np.empty((draws, effects)), np.empty(_ABOUT.size), np.empty(count)
+def _about(turned, size, along):
+    """The same as `_together`, averaged over how large the amplitudes are about; `along` each axis one of them all."""
+    draws, effects, count = turned.shape
+    found, parts = np.empty((draws, effects)), np.empty(_ABOUT.size)
     mean, volume, share = np.empty(_ABOUT.size), np.empty(_ABOUT.size), np.empty((_ABOUT.size, count))
     for e in range(effects):
         total = 0.0
         for j in range(count):
-            along[j] = axes[e, :, j].sum()
-            total += size[e, j] * along[j] ** 2
+            total += size[e, j] * along[e, j] ** 2
         for k in range(_ABOUT.size):
             mean[k] = _ABOUT[k] / np.sqrt(max(total, 1e-300))
             variance, volume[k] = (_DIFFERS * mean[k]) ** 2, 0.0
@@ -201,12 +202,10 @@ def _about(score, size, axes):
             for k in range(_ABOUT.size):
                 parts[k] = -0.5 * volume[k] - 0.5 * _ABOUT[k] ** 2
             for j in range(count):
-                turned = 0.0
-                for i in range(count):
-                    turned += score[b, e, i] * axes[e, i, j]
+                seen, one = turned[b, e, j], along[e, j]
                 for k in range(_ABOUT.size):
-                    left = turned - mean[k] * size[e, j] * along[j]
-                    parts[k] += mean[k] * turned * along[j] + 0.5 * left * left * share[k, j]
+                    left = seen - mean[k] * size[e, j] * one
+                    parts[k] += mean[k] * seen * one + 0.5 * left * left * share[k, j]
             top = parts.max()
             found[b, e] = top + np.log(np.exp(parts - top).mean())
     return found

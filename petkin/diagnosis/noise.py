@@ -58,7 +58,7 @@ def second_differences(residuals: Array) -> Array:
 
 
 def medians(values: Array) -> Array:
-    """Those of the last axis (..., 1), as `np.median` has them, by sorting: five times as fast where rows are short."""
+    """Of the last axis (..., 1), as `np.median` has them of finite values, five times as fast where rows are short."""
     ordered, count = np.sort(values, axis=-1), values.shape[-1]
     return 0.5 * (ordered[..., (count - 1) // 2, None] + ordered[..., count // 2, None])
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -143,11 +143,23 @@ def _unshifted(forcing: Forcing) -> tuple[Forcing, float]:
     return forcing, delay
 
 
+class _Walked(NamedTuple):
+    """An input that was walked along: nodes, u there, y of every rate at some of them, U = int u, and the weights of
+    every step, few of which differ, with which is whose."""
+
+    times: Array
+    u: Array
+    y: Array
+    area: Array
+    weights: Array
+    which: NDArray[np.intp]
+
+
 @dataclass(frozen=True)
 class _March:
-    """y of every rate and U = int u, decayed, of an input that is read `delay` minutes late; see `_walk`."""
+    """A decayed input that is read `delay` minutes late."""
 
-    walked: tuple[Any, ...]
+    walked: _Walked
     delay: float
     decay: float
 
@@ -163,18 +175,18 @@ class _March:
 
     def _mid_frame(self, clock: FrameObservation, sinks: Array) -> Array:
         mid = clock.frames.mid - self.delay
-        times, u, *_ = self.walked
-        curve = _at(self.walked, sinks, mid)[:, :-1].T if sinks.size else np.interp(mid, times, u, left=0.0)
+        walked = self.walked
+        curve = _at(walked, sinks, mid)[:, :-1].T if sinks.size else np.interp(mid, walked.times, walked.u, left=0.0)
         return curve * np.exp(self.decay * mid) * clock.gain_or_one
 
 
 @lru_cache(maxsize=64)
-def _marched(forcing: Forcing, decay: float, nodes: bytes) -> tuple[Any, ...]:
-    """Nodes, u, y at some of them, U, and the weights of every step: what `_reach` takes."""
+def _marched(forcing: Forcing, decay: float, nodes: bytes) -> _Walked:
     times = np.frombuffer(nodes).copy()
     u = np.asarray(forcing(times), np.float64) * np.exp(-decay * times)
     weights, which = _steps(decay, nodes)
-    return times, u, *_walk(times, u, weights, which), weights, which
+    y, area = _walk(times, u, weights, which)
+    return _Walked(times, u, y, area, weights, which)
 
 
 def _march(forcing: Forcing, delay: float, decay: float, nodes: bytes) -> _March:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Starts that are polished, out of the grid; steps of difference quotients, in parameters or in 1, whichever is more.
+#: Starts that are polished, out of the grid; step of difference quotients, as a share of the parameter, or of 1 where
+#: that is more.
 _POLISHED, _STEP = 4, float(np.sqrt(np.finfo(float).eps))
 
 Curve = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]

@@ -44,19 +44,37 @@ _LISTED, _NEGLIGIBLE = 8, 0.005
 
 @dataclass(frozen=True)
 class Detected:
-    """Whether there is a gap.
+    """Whether there is a gap; what that takes beyond the simulator's fit is found when it is asked for.
 
     Args:
+        simulator: what predicts.
+        hypotheses: effects that may be missing.
         based: the simulator's fit, the noise, and what a flexible fit took and left.
-        scan: every hypothesis around that fit.
-        drawn: what the refit leaves of whitened draws of noise (n, C K).
-        against: what every hypothesis has for the data, and for the draws.
+        seed: of the draws of noise.
+        draws: how many.
     """
 
+    simulator: Simulator
+    hypotheses: Sequence[Hypothesis]
     based: Base
-    scan: Scan
-    drawn: Array
-    against: AgainstNoise
+    seed: int
+    draws: int
+
+    @cached_property
+    def scan(self) -> Scan:
+        """Every hypothesis around that fit."""
+        return scan_of(self.simulator, self.based[1], self.based[0], self.hypotheses)
+
+    @cached_property
+    def drawn(self) -> Array:
+        """What the refit leaves of whitened draws of noise (n, C K)."""
+        return draws_left(np.random.default_rng(self.seed), self.draws, self.based, self.scan.projection)
+
+    @cached_property
+    def against(self) -> AgainstNoise:
+        """What every hypothesis has for the data, and for the draws."""
+        evidence = self.scan.evidence
+        return AgainstNoise(self.scan.names, evidence(self.based[0].residual), evidence(self.drawn))
 
     @cached_property
     def p_value(self) -> float:
@@ -146,10 +164,7 @@ def detect(
         based: what `base_fit` finds, where it is known.
     """
     based = base_fit(simulator, data) if based is None else based
-    scan = scan_of(simulator, based[1], based[0], hypotheses)
-    drawn = draws_left(np.random.default_rng(seed), draws, based, scan.projection)
-    against = AgainstNoise(scan.names, scan.evidence(based[0].residual), scan.evidence(drawn))
-    return Detected(based, scan, drawn, against)
+    return Detected(simulator, hypotheses, based, seed, draws)
 
 
 def draws_left(

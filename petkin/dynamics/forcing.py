@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 #: Of numpy or of torch.
 Array = Any
+#: Rates that a table has at most; more are those of voxels, and what they need is not kept.
+_TABLE = 256
 
 
 @runtime_checkable
@@ -110,8 +113,6 @@ class PiecewiseLinear:
     def response(self, rates: Array, t: Array) -> Any:
         lines, a, t = self._beside(rates, t)
         if t is lines.times:
-            if lines._xp is np and lines.values.ndim == 1:
-                return at_knots(t, lines.values, a.ravel()).reshape(*a.shape, t.size)
             return lines._at_knots(a[..., None])
         a, piece = a[..., None], lines._piece(t)
         carried = lines._at_knots(a)[..., piece.index] * lines._xp.exp(-a * piece.elapsed)
@@ -119,11 +120,17 @@ class PiecewiseLinear:
 
     def response_integral(self, rates: Array, t: Array, decay: float = 0.0) -> Any:
         lines, a, t = self._beside(rates, t)
-        a, piece, weight = a[..., None], lines._piece(t), lines._xp.exp(-decay * lines.times)
-        knots = lines._at_knots(a)
-        whole = lines._response_integrals(a, knots[..., :-1], lines._steps, slice(None, -1), decay) * weight[:-1]
-        partial = lines._response_integrals(a, knots[..., piece.index], piece.elapsed, piece.index, decay)
-        return (_running(whole)[..., piece.index] + partial * weight[piece.index]) * piece.started
+        piece, weight = lines._piece(t), lines._xp.exp(-decay * lines.times)
+        states, areas = _walked(lines, a, decay) if lines._xp is np else lines._walk(a, decay)
+        partial = lines._response_integrals(a[..., None], states[..., piece.index], piece.elapsed, piece.index, decay)
+        return (areas[..., piece.index] + partial * weight[piece.index]) * piece.started
+
+    def _walk(self, a: Any, decay: float) -> tuple[Any, Any]:
+        """y and int_0^t e^{-decay s} y(s) ds at every knot, (*rb, knots)."""
+        a, weight = a[..., None], self._xp.exp(-decay * self.times)
+        states = self._at_knots(a)
+        whole = self._response_integrals(a, states[..., :-1], self._steps, slice(None, -1), decay) * weight[:-1]
+        return states, _running(whole)
 
     def _beside(self, *numbers: Any) -> tuple[Any, ...]:
         """The same lines and some numbers, all of them arrays or all of them tensors."""
@@ -166,6 +173,8 @@ class PiecewiseLinear:
 
     def _at_knots(self, a: Any) -> Any:
         """y at every knot, y_{i+1} = e^{-a d_i} y_i + fresh_i (stable: all factors are <= 1)."""
+        if self._xp is np and self.values.ndim == 1:
+            return at_knots(self.times, self.values, a.ravel()).reshape(*a.shape[:-1], self.times.size)
         return linear_recurrence(self._xp.exp(-a * self._steps), self._fresh(a, self._steps, slice(None, -1)))
 
     def _response_integrals(self, a: Any, start: Any, elapsed: Any, at: Any, decay: float) -> Any:
@@ -177,6 +186,18 @@ class PiecewiseLinear:
             + level * exp_divided_difference((0.0, -decay, sunk), elapsed)
             + slope * exp_divided_difference((0.0, -decay, -decay, sunk), elapsed)
         )
+
+
+def _walked(lines: PiecewiseLinear, rates: Array, decay: float) -> tuple[Any, Any]:
+    """What `_walk` finds in arrays; of tables the last are kept, since delays are tried one after another."""
+    if rates.size > _TABLE:
+        return lines._walk(rates, decay)
+    return _kept_walk(lines, np.asarray(rates, np.float64).tobytes(), rates.shape, float(decay))
+
+
+@lru_cache(maxsize=4)
+def _kept_walk(lines: PiecewiseLinear, rates: bytes, shape: tuple[int, ...], decay: float) -> tuple[Any, Any]:
+    return lines._walk(np.frombuffer(rates).reshape(shape), decay)
 
 
 @dataclass(frozen=True)

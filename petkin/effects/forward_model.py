@@ -6,7 +6,7 @@ blood record -> [input] C_P, C_B -> [tissue] C_T -> [vascular] (1 - vB) C_T + vB
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -22,7 +22,7 @@ from petkin.effects.responses import Exact, Responses, alike
 from petkin.errors import InputError
 from petkin.imaging import CountingNoise, Exchange, FrameObservation, Motion
 from petkin.inputs import InputFunction
-from petkin.kinetics import BLOOD_VOLUME, compartment_model
+from petkin.kinetics import BLOOD_VOLUME, CompartmentModel, compartment_model
 
 #: Frame values (..., regions, frames) as they would be -> as the scanner has them. Given the clock.
 Distortion = Callable[[Any, FrameObservation], Any]
@@ -50,13 +50,11 @@ class Tissue:
         """Frame values of C_T (..., regions, frames)."""
         compartments = compartment_model(self.model)
         rates = {symbol: self.rates[symbol] for symbol in compartments.parameters.symbols[: compartments.rates]}
-        halves = [1.0 + self.spread, 1.0 - self.spread] if present(self.spread) else [1.0]
-        mixtures = [
-            [rate * half if symbol in ("K1", "k2") else rate for symbol, rate in rates.items()] for half in halves
-        ]
-        parts = [part for mixed in mixtures for part in compartments.impulse(*mixed)]
-        responses = seen.plasma(library(rates["K1"]).stack([a for _, a in parts]))
-        total: Any = sum(phi[..., None] * response for (phi, _), response in zip(parts, responses)) / len(halves)
+        if present(self.spread):
+            each = [self._halved(rates, half) for half in (1.0 + self.spread, 1.0 - self.spread)]
+            total: Any = 0.5 * sum(_response(compartments, seen, half) for half in each)
+        else:
+            total = _response(compartments, seen, rates.values())
         if self.metabolite is not None:
             share, back = self.metabolite
             K1 = rates["K1"]
@@ -65,11 +63,23 @@ class Tissue:
             total = total + alike(self._departure(model, list(rates.values())), total)
         return total
 
+    @staticmethod
+    def _halved(rates: Mapping[str, Any], by: Any) -> list[Any]:
+        """Of one half of the voxels."""
+        return [rate * by if symbol in ("K1", "k2") else rate for symbol, rate in rates.items()]
+
     def _departure(self, model: ForwardModel, rates: list[Any]) -> Any:
         plain = [rate if isinstance(rate, np.ndarray) else torch.as_tensor(rate).detach().numpy() for rate in rates]
         missing = [np.zeros_like(plain[0])] * (4 - len(plain))
         assert self.course is not None
         return self.course.departure(np.stack([*plain, *missing], axis=-1), model.input.plasma, model.clock)
+
+
+def _response(compartments: CompartmentModel, seen: Responses, rates: Iterable[Any]) -> Any:
+    """Frame values of C_T at constant rates."""
+    phi, a = zip(*compartments.impulse(*rates), strict=True)
+    first, *rest = (p[..., None] * response for p, response in zip(phi, seen.plasma(library(a[0]).stack(a))))
+    return sum(rest, first)
 
 
 @dataclass(frozen=True)

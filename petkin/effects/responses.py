@@ -3,7 +3,7 @@
     plasma(a):  e^{-a t} * C_P        blood:  C_B        trapped(a):  e^{-a t} * C_B
 
 The table is for a diagnosis, which asks for thousands of curves under many inputs: everything is marched once along
-the nodes of the input, for a hundred rates; a delay then only moves the frame edges, and any rate is read by a spline.
+the nodes of the input, for 48 rates; a delay then only moves the frame edges, and any rate is read by a spline.
 With u the decayed input and y its response, y' = u - (a + lambda) y, so a frame's integral is (dU - dy) / (a + lambda).
 """
 
@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from petkin.dynamics import Forcing, Shifted
 from petkin.dynamics.recurrence import step
@@ -27,9 +27,12 @@ from petkin.jit import njit
 
 Array = NDArray[np.float64]
 
-#: Rates of the table, 1/min: 0 and a geometric ladder; a spline in log(a + offset) reads between them to 1e-5.
-_OFFSET = 0.004
-_RATES = np.concatenate([[0.0], np.geomspace(3e-4, 15.0, 95)])
+#: Rates of the table, 1/min, even in log(a + offset), in which a spline of the seventh degree reads between them to
+#: 2e-6 of a curve's highest value.
+_OFFSET, _DEGREE = 0.008, 7
+_KNOTS = np.linspace(math.log(_OFFSET), math.log(15.0 + _OFFSET), 48)
+_RATES = np.exp(_KNOTS) - _OFFSET
+_RATES[0] = 0.0
 #: Added to a + lambda where it divides, 1/min.
 _LEAST = 1e-7
 #: Digits of a minute to which steps are told apart; y is kept at every so many nodes, which a core holds at hand.
@@ -94,7 +97,8 @@ class Tabulated:
         self._plasma = self._frames(input.plasma, _RATES)
 
     def _frames(self, forcing: Forcing, rates: Array) -> Array:
-        return _march(*_unshifted(forcing), self._clock.decay, self._nodes).frames(self._clock, rates)
+        found = _march(*_unshifted(forcing), self._clock.decay, self._nodes).frames(self._clock, rates)
+        return np.ascontiguousarray(found)
 
     def plasma(self, rates: Array) -> Array:
         return _between(rates, self._plasma)
@@ -125,15 +129,21 @@ class Tabulated:
         return _between(rates, self._total) - self.plasma(rates)
 
 
-_KNOTS = np.log(_RATES + _OFFSET)
-#: Coefficients of the pieces of a spline through the table, as weights of its rows (4, pieces, rates).
-_SPLINE = np.ascontiguousarray(CubicSpline(_KNOTS, np.eye(_RATES.size)).c)
+def _pieces() -> tuple[Array, Array]:
+    """Where the pieces of a spline through a table begin and end, and their coefficients as weights of its rows (degree
+    + 1, pieces, rates)."""
+    spline = make_interp_spline(_KNOTS, np.eye(_RATES.size), _DEGREE)
+    breaks = np.unique(spline.t)
+    orders = range(_DEGREE, -1, -1)
+    return breaks, np.stack([spline.derivative(n)(breaks[:-1]) / math.factorial(n) for n in orders])
+
+
+_BREAKS, _SPLINE = _pieces()
 
 
 def _between(rates: Array, table: Array) -> Array:
     """Rows of a table at any rates: (...) to (..., K)."""
-    x = np.log(np.clip(rates, 0.0, _RATES[-1]) + _OFFSET)
-    return (_weights(np.ravel(x), _KNOTS, _SPLINE) @ table).reshape(*np.shape(rates), table.shape[1])
+    return _read(np.ravel(rates), _BREAKS, _SPLINE, table).reshape(*np.shape(rates), table.shape[1])
 
 
 def _unshifted(forcing: Forcing) -> tuple[Forcing, float]:
@@ -281,12 +291,16 @@ def _counted(walked, rates, start, end):
 
 
 @njit()
-def _weights(x, knots, spline):
-    """Weights of the table's rows at every x, as the spline through them has it."""
-    found = np.empty((x.size, knots.size))
-    for n in range(x.size):
-        i = min(max(np.searchsorted(knots, x[n], side="right") - 1, 0), knots.size - 2)
-        d = x[n] - knots[i]
-        for j in range(knots.size):
-            found[n, j] = ((spline[0, i, j] * d + spline[1, i, j]) * d + spline[2, i, j]) * d + spline[3, i, j]
-    return found
+def _read(rates, breaks, spline, table):
+    """Rows of a table at every rate (rates, K), as the spline through them has it; none lies beyond the table."""
+    weight = np.empty((rates.size, spline.shape[2]))
+    for n in range(rates.size):
+        x = min(max(np.log(max(rates[n], 0.0) + _OFFSET), breaks[0]), breaks[-1])
+        i = min(np.searchsorted(breaks, x, side="right") - 1, breaks.size - 2)
+        d = x - breaks[i]
+        for j in range(weight.shape[1]):
+            weight[n, j] = spline[0, i, j]
+        for order in range(1, spline.shape[0]):
+            for j in range(weight.shape[1]):
+                weight[n, j] = weight[n, j] * d + spline[order, i, j]
+    return weight @ table

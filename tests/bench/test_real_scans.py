@@ -30,10 +30,12 @@ def test_a_late_clock_is_named_and_a_twin_is_not_accused(shared_data: Path) -> N
 
 
 def test_trapping_is_told_from_a_few_rivals(shared_data: Path) -> None:
+    """By a simulator that traps nothing, and so has nothing to return."""
     few = ("dispersion", "gain_drift", "gain_step", "randoms_offset", "tissue_metabolite")
     rows = measured(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",), rivals=few)
     (row,) = summary(rows)
     assert {r["rivals"] for r in rows} == {" ".join(few)}
+    assert {str(r["simulator"]) for r in rows} == {"2TCM blood_volume arterial_delay"}
     assert {name for r in rows[:2] for name in str(r["leader"]).split("+")} <= {*few, "vascular_trapping"}
     assert (row["scans"], row["alarms"], row["leads"]) == (2, 2, 2)
 
@@ -50,11 +52,6 @@ def test_a_missing_compartment_is_named_in_all_scans_but_one(shared_data: Path) 
     """9 of 12 where trapping's return could not leave its limit, and where a law was told beside another fit."""
     rows = measured(shared_data / "pbr28", only=("second_tissue",), blood="fitted")
     assert sum(bool(row["first"]) for row in rows if row["scan"] != "group") >= 11
-
-
-def test_a_simulator_that_traps_nothing_has_nothing_to_return(shared_data: Path) -> None:
-    rows = measured(shared_data / "pbr28", subjects=("cgyu",), only=("vascular_trapping",))
-    assert {str(row["simulator"]) for row in rows} == {"2TCM blood_volume arterial_delay"}
 
 
 def test_a_record_that_errs_is_a_gap_only_where_it_is_taken_as_exact(shared_data: Path) -> None:

@@ -4,7 +4,7 @@ mapped."""
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -175,24 +175,18 @@ def test_behind_included_motion_another_gap_of_the_image_is_seen(tmp_path: Path)
     assert one.answer["where"]["state"][0]["evidence"] > 10.0
 
 
-def test_a_long_way_is_named_and_is_no_gap_once_included(tmp_path: Path) -> None:
-    """Two voxels and more: slopes of a picture of both places tell neither how far nor what that adds to regions."""
-    study = spoilt(tmp_path, moved_mm=(9.0, 0.0, 0.0))
-    answer = diagnosed(study, tmp_path / "out").answer
-    assert answer["verdict"]["set"] == ["motion_step"]
-    estimate = answer["causes"][0]["estimate"]
-    assert estimate["amplitude"]["value"] == pytest.approx(9.0, abs=1.0)
-    assert estimate["onset_min"]["value"] == pytest.approx(ONSET_MIN, abs=1.0)
-    assert estimate["axis"]["value"] == 0
-    (one,) = diagnose_study(DiagnoseRequest(study, out=tmp_path / "in", include=(*INCLUDES, "motion_step")))
-    assert one.answer["verdict"]["kind"] == "none"
-    moved = next(e for e in one.answer["simulator"]["fitted"] if (e["effect"], e["symbol"]) == ("motion_step", "moved"))
-    assert moved["value"] == pytest.approx(9.0, abs=1.0)
+@dataclass(frozen=True)
+class LongWay:
+    """9 mm along x: the study, what was said of it, and the noise of the picture laid at rest by that recorded."""
+
+    study: Path
+    said: Diagnosed
+    ratios: list[np.ndarray]
 
 
-def test_a_picture_at_rest_has_the_noise_of_what_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Frames that are laid back between voxels are smoother; their curves are asked as they were recorded."""
-    ratios: list[np.ndarray] = []
+@pytest.fixture(scope="module")
+def long_way(tmp_path_factory: pytest.TempPathFactory) -> LongWay:
+    folder, ratios = tmp_path_factory.mktemp("long_way"), []
 
     def kept(source: Source, voxels: Voxels, simulator: RegionalSimulator) -> Voxels | None:
         rest = at_rest(source, voxels, simulator)
@@ -200,9 +194,33 @@ def test_a_picture_at_rest_has_the_noise_of_what_was_recorded(tmp_path: Path, mo
             ratios.append(np.median(rest.spread / voxels.spread, axis=1))
         return rest
 
-    monkeypatch.setattr(imaged, "at_rest", kept)
-    diagnosed(spoilt(tmp_path, moved_mm=(9.0, 0.0, 0.0)), tmp_path / "out")
-    (ratio,) = ratios
+    study = spoilt(folder, moved_mm=(9.0, 0.0, 0.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(imaged, "at_rest", kept)
+        return LongWay(study, diagnosed(study, folder / "out"), ratios)
+
+
+def test_a_long_way_is_named(long_way: LongWay) -> None:
+    """Two voxels and more: slopes of a picture of both places tell neither how far nor what that adds to regions."""
+    answer = long_way.said.answer
+    assert answer["verdict"]["set"] == ["motion_step"]
+    estimate = answer["causes"][0]["estimate"]
+    assert estimate["amplitude"]["value"] == pytest.approx(9.0, abs=1.0)
+    assert estimate["onset_min"]["value"] == pytest.approx(ONSET_MIN, abs=1.0)
+    assert estimate["axis"]["value"] == 0
+
+
+def test_a_long_way_is_no_gap_once_included(long_way: LongWay, tmp_path: Path) -> None:
+    request = DiagnoseRequest(long_way.study, out=tmp_path / "in", include=(*INCLUDES, "motion_step"))
+    (one,) = diagnose_study(request)
+    assert one.answer["verdict"]["kind"] == "none"
+    moved = next(e for e in one.answer["simulator"]["fitted"] if (e["effect"], e["symbol"]) == ("motion_step", "moved"))
+    assert moved["value"] == pytest.approx(9.0, abs=1.0)
+
+
+def test_a_picture_at_rest_has_the_noise_of_what_was_recorded(long_way: LongWay) -> None:
+    """Frames that are laid back between voxels are smoother; their curves are asked as they were recorded."""
+    (ratio,) = long_way.ratios
     np.testing.assert_allclose(ratio, 1.0, atol=0.25)
 
 

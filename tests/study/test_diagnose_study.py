@@ -68,11 +68,22 @@ def diagnosed(study: Path, out: Path, **options: Any) -> Diagnosed:
 
 
 @pytest.fixture(scope="module")
-def stepped(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
+def step(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A gain step of 10 percent at 30 min."""
-    folder = tmp_path_factory.mktemp("stepped")
-    study = simulated(folder, effects=("gain_step=0.1,onset=30",))
-    return diagnosed(study, folder / "out", include=INCLUDES)
+    return simulated(tmp_path_factory.mktemp("stepped"), effects=("gain_step=0.1,onset=30",))
+
+
+@pytest.fixture(scope="module")
+def stepped(step: Path) -> Diagnosed:
+    return diagnosed(step, step.parent / "out", include=INCLUDES)
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Diagnosed]:
+    """A study without a gap."""
+    folder = tmp_path_factory.mktemp("quiet")
+    study = simulated(folder)
+    return study, diagnosed(study, folder / "out", include=INCLUDES)
 
 
 @pytest.fixture(scope="module")
@@ -143,8 +154,8 @@ def test_rules_of_the_answer(stepped: Diagnosed) -> None:
     assert not set(INCLUDES) & {e for cause in answer["causes"] for e in cause["effects"]}
 
 
-def test_a_study_without_a_gap_is_left_in_peace(tmp_path: Path) -> None:
-    one = diagnosed(simulated(tmp_path), tmp_path / "out", include=INCLUDES)
+def test_a_study_without_a_gap_is_left_in_peace(quiet: tuple[Path, Diagnosed]) -> None:
+    one = quiet[1]
     assert one.answer["verdict"]["kind"] == "none"
     assert one.answer["causes"] == []
     assert one.answer["gap"]["present"] is False
@@ -161,15 +172,14 @@ def test_the_papers_missing_compartment_is_named_and_closes_the_gap(paper: tuple
 def test_it_closes_as_much_as_the_true_model_does(paper: tuple[Path, Diagnosed], tmp_path: Path) -> None:
     """The paper's global residual closes 0.93 and its meta-learned one 0.999 of what the full physics does."""
     study, found = paper
-    tacs = [simulator_error(study, tmp_path / model, model) for model in ("1tcm", "2tcm")]
-    without, oracle = tacs
+    without, oracle = (simulator_error(one) for one in (found, diagnosed(study, tmp_path / "out", model="2tcm")))
     closed = found.answer["causes"][0]["closure"]["value"]
     assert oracle < 0.01 * without
     assert closed * without >= 0.95 * (without - oracle)
 
 
-def simulator_error(study: Path, out: Path, model: str) -> float:
-    return float(diagnosed(study, out, model=model).answer["gap"]["chi2_per_dof"])
+def simulator_error(one: Diagnosed) -> float:
+    return float(one.answer["gap"]["chi2_per_dof"])
 
 
 def test_kinetics_move_to_the_truth_once_the_cause_is_in(paper: tuple[Path, Diagnosed]) -> None:
@@ -183,22 +193,20 @@ def test_kinetics_move_to_the_truth_once_the_cause_is_in(paper: tuple[Path, Diag
     assert np.median(before) > 0.1
 
 
-def test_a_withheld_cause_appears_nowhere(tmp_path: Path) -> None:
-    study = simulated(tmp_path, effects=("gain_step=0.1,onset=30",))
-    one = diagnosed(study, tmp_path / "out", include=INCLUDES, without=("gain_step",))
+def test_a_withheld_cause_appears_nowhere(step: Path, tmp_path: Path) -> None:
+    one = diagnosed(step, tmp_path / "out", include=INCLUDES, without=("gain_step",))
     names = {e for cause in one.answer["causes"] for e in cause["effects"]}
     assert one.answer["gap"]["present"]
     assert "gain_step" not in names
     assert all("gain_step" not in label for label in one.answer["verdict"]["set"])
 
 
-def test_the_same_seed_gives_the_same_files(tmp_path: Path) -> None:
-    study = simulated(tmp_path)
-    one, two = (diagnosed(study, tmp_path / name, include=INCLUDES) for name in ("a", "b"))
+def test_the_same_seed_gives_the_same_files(quiet: tuple[Path, Diagnosed], tmp_path: Path) -> None:
+    study, one = quiet
+    two = diagnosed(study, tmp_path / "again", include=INCLUDES)
     assert one.report.read_bytes() == two.report.read_bytes()
-    for answer in (one.answer, two.answer):
-        answer["provenance"].pop("seconds")
-    assert one.answer == two.answer
+    first, second = ({**each.answer, "provenance": {**each.answer["provenance"], "seconds": 0}} for each in (one, two))
+    assert first == second
 
 
 def test_the_page_says_what_was_found(stepped: Diagnosed) -> None:
@@ -210,8 +218,8 @@ def test_the_page_says_what_was_found(stepped: Diagnosed) -> None:
     assert "http" not in page.replace("http-equiv", "")
 
 
-def test_a_design_is_judged_before_any_data(tmp_path: Path) -> None:
-    ((label, visible),) = foresee_study(DiagnoseRequest(simulated(tmp_path), include=INCLUDES))
+def test_a_design_is_judged_before_any_data(quiet: tuple[Path, Diagnosed]) -> None:
+    ((label, visible),) = foresee_study(DiagnoseRequest(quiet[0], include=INCLUDES))
     known = {one.hypothesis.name: one for one in visible}
     assert label == "sub-01"
     assert known["input_scale"].invisible

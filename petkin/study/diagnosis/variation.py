@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from petkin.study.diagnosis.picture import Voxels
 
@@ -174,15 +175,26 @@ def _decoys(voxels: Voxels, contrast: Weighed, cells: _Cells, waves: Array, fiel
 def _variances(decoys: list[_Decoys], parameters: int) -> Array:
     """The likeliest variances (P,) beside the usual ones, of moments S = noise + sum_p v_p g_p g_p'.
 
+    In units of the noise, along Q of g = Q R, all that changes with v is of P by P:
+
+        g' (1 + g v g')^-1 g = R' T,   T = (1 + R v R')^-1 R
+
     Reference: Zhou H, Hu L, Zhou J, Lange K. J Comput Graph Stat 2019;28:350-361 (each step is never less likely).
     """
-    variance = np.full(parameters, _USUAL)
+    each = [_along(decoy) for decoy in decoys]
+    varied, moments = (np.stack(parts) for parts in zip(*each, strict=True))
+    variance, one = np.full(parameters, _USUAL), np.eye(varied.shape[1])
     for _ in range(_ROUNDS):
-        more, less = _TRUST * _USUAL / variance**2, _TRUST / variance
-        for decoy in decoys:
-            covariance = decoy.noise + (decoy.varied * variance) @ decoy.varied.T
-            solved = np.linalg.solve(covariance, decoy.varied)
-            more = more + _INDEPENDENT * np.einsum("kp,kl,lp->p", solved, decoy.moments, solved)
-            less = less + _INDEPENDENT * np.einsum("kp,kp->p", decoy.varied, solved)
+        told = np.linalg.solve(one + (varied * variance) @ varied.swapaxes(1, 2), varied)
+        more = _TRUST * _USUAL / variance**2 + _INDEPENDENT * (told * (moments @ told)).sum(axis=(0, 1))
+        less = _TRUST / variance + _INDEPENDENT * (varied * told).sum(axis=(0, 1))
         variance = variance * np.sqrt(more / less)
     return variance
+
+
+def _along(decoy: _Decoys) -> tuple[Array, Array]:
+    """R of what varied, and the moments along its Q, both in units of the noise."""
+    factor = np.linalg.cholesky(decoy.noise)
+    axes, varied = np.linalg.qr(solve_triangular(factor, decoy.varied, lower=True))
+    axes = solve_triangular(factor, axes, lower=True, trans="T")
+    return varied, axes.T @ decoy.moments @ axes

@@ -76,9 +76,9 @@ class VoxelNoise:
         for r, box in enumerate(boxes):
             wide = tuple(slice(max(b.start - n // 2, 0), b.stop + n // 2) for b, n in zip(box, self.shared.shape))
             labels, own = self.labels[wide], self.labels[wide] == r + 1
-            near = grids[:, *wide]
+            near, spread = grids[:, *wide], _spreading(own.shape, self.shared)
             for f, grid in enumerate(near):
-                reached = _spread(np.where(own, grid, 0.0), self.shared)
+                reached = spread(np.where(own, grid, 0.0))
                 for g, other in enumerate(near):
                     found[f, r, g] = np.bincount(labels.ravel(), (other * reached).ravel(), len(boxes) + 1)[1:]
         flat = found.reshape(len(grids) * len(boxes), -1)
@@ -93,7 +93,8 @@ class VoxelNoise:
             own = np.zeros((len(weights), *mine.shape))
             own[:, mine] = weights[:, index[box][mine]]
             flat = own.reshape(len(own), -1)
-            covariance = np.stack([flat @ _spread(own[f], self.shared).ravel() for f in range(len(own))])
+            spread = _spreading(mine.shape, self.shared)
+            covariance = np.stack([flat @ spread(grid).ravel() for grid in own])
             found.append(0.5 * (covariance + covariance.T))
         return found
 
@@ -244,14 +245,18 @@ def _distances(lags: tuple[int, ...], size: Array) -> Array:
     return np.sqrt(sum(each**2 for each in np.meshgrid(*steps, indexing="ij")))
 
 
-def _spread(grid: Array, shared: Array) -> Array:
-    """sum_d C(d) g_(v + d)."""
-    axes, size = (0, 1, 2), grid.shape
+def _spreading(size: tuple[int, ...], shared: Array) -> Callable[[Array], Array]:
+    """Of grids of such a size, sum_d C(d) g_(v + d)."""
+    axes = (0, 1, 2)
     shape = [-(-(n + lag - 1) // _EASY) * _EASY for n, lag in zip(size, shared.shape, strict=True)]
     kernel = np.pad(shared, [(0, n - lag) for n, lag in zip(shape, shared.shape, strict=True)])
-    kernel = np.roll(kernel, [-(lag // 2) for lag in shared.shape], (0, 1, 2))
-    found = np.fft.irfftn(np.fft.rfftn(grid, shape, axes) * np.fft.rfftn(kernel), shape, axes)
-    return np.asarray(found[: size[0], : size[1], : size[2]], np.float64)
+    spectrum = np.fft.rfftn(np.roll(kernel, [-(lag // 2) for lag in shared.shape], axes))
+
+    def spread(grid: Array) -> Array:
+        found = np.fft.irfftn(np.fft.rfftn(grid, shape, axes) * spectrum, shape, axes)
+        return np.asarray(found[: size[0], : size[1], : size[2]], np.float64)
+
+    return spread
 
 
 def _products(grid: NDArray[np.floating], lags: tuple[int, ...]) -> Array:

@@ -17,8 +17,7 @@ install: $(READY)
 # Two builds of torch fit the project's range; the CPU one suffices. PIP_ARGS passes options on, e.g. an index of yours.
 $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) "torch==2.13.0"
-	$(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --no-compile $(PIP_ARGS) "torch==2.13.0" --editable ".[dev]"
 	touch $(READY)
 
 demo: install

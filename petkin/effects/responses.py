@@ -28,7 +28,7 @@ from petkin.jit import njit
 Array = NDArray[np.float64]
 
 #: Rates of the table, 1/min, even in log(a + offset), in which a spline of the seventh degree reads between them to
-#: 2e-6 of a curve's highest value.
+#: 3e-6 of a curve's highest value.
 _OFFSET, _DEGREE = 0.008, 7
 _KNOTS = np.linspace(math.log(_OFFSET), math.log(15.0 + _OFFSET), 48)
 _RATES = np.exp(_KNOTS) - _OFFSET

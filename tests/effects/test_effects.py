@@ -25,8 +25,8 @@ from petkin.effects import (
     read_injection,
 )
 from petkin.errors import InputError
-from petkin.imaging import CountingNoise, Exchange, FrameObservation, frame_schedule
-from petkin.inputs import analytic_input, feng_plasma, paper_plasma
+from petkin.imaging import CountingNoise, Exchange, FrameObservation, FrameSchedule, frame_schedule
+from petkin.inputs import InputFunction, analytic_input, feng_plasma, paper_plasma
 
 #: Names by stage as the gap report has them.
 CONTRACT = {
@@ -145,6 +145,20 @@ def test_a_table_of_responses_reads_as_the_exact_ones(effect: Effect, one_tissue
     values = scaled(changed, 1.0).values(Tabulated(changed.input, changed.clock, nodes))
     expected = changed.frame_values().numpy()
     np.testing.assert_allclose(values, expected, rtol=2e-4, atol=2e-5 * expected.max())
+
+
+@pytest.mark.parametrize("end", [40.0, 240.0])
+def test_any_rate_is_read_to_three_millionths_of_the_curve(end: float) -> None:
+    times = np.concatenate([np.arange(0.0, 3.0, 1 / 120), np.arange(3.0, end + 1.0, 0.1)])
+    since = np.maximum(times - 0.3, 0.0)
+    bolus = 4000.0 * since * np.exp(-4.0 * since) + 40.0 * (1.0 - np.exp(-5.0 * since)) * np.exp(-0.05 * since)
+    edges = np.concatenate([np.arange(0.0, 2.0, 1 / 6), np.arange(2.0, end + 1.0, 2.0)])
+    arterial = InputFunction(*(PiecewiseLinear(times, bolus) for _ in range(2)))
+    clock = FrameObservation(FrameSchedule(edges[:-1], edges[1:]), math.log(2.0) / 109.77)
+    rates = np.concatenate([[0.0], np.random.default_rng(0).uniform(-9.0, 2.7, 200)])
+    rates[1:] = np.exp(rates[1:])
+    found, expected = Tabulated(arterial, clock, times).plasma(rates), clock.of_response(arterial.plasma, rates)
+    assert (np.abs(found - expected).max(axis=1) < 3e-6 * expected.max(axis=1)).all()
 
 
 @pytest.mark.parametrize("effect", [e for e in EFFECTS if e.stage == "input"], ids=lambda e: e.name)

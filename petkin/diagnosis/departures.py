@@ -62,23 +62,23 @@ class _Scored:
         """Scores, and by name what an effect with its course (K,) leaves of them."""
         cosines = np.stack([each[:_COUNT] for each in courses(departure.times)])
         places = np.concatenate([departure.added, departure.parts])
-        columns = places[:, None, None] * cosines[None, :, :, None, :]
-        flat = columns.reshape(-1, departure.family.rows.size)
+        count = len(places) * len(cosines) * _COUNT
         beside = {
-            name: np.concatenate([by * named[name], squared * named[name] ** 2]).reshape(-1, flat.shape[1])
+            name: np.concatenate([by * named[name], squared * named[name] ** 2]).reshape(-1, departure.family.rows.size)
             for name, (by, squared) in departure.held.items()
             if name in named
         }
-        score, information = departure.family.scored(np.concatenate([flat, *beside.values()]))
-        which = np.arange(len(flat)).reshape(columns.shape[:3])
+        others = np.concatenate([np.zeros((0, departure.family.rows.size)), *beside.values()])
+        score, information = departure.family.scored_over_time(places, cosines.reshape(-1, cosines.shape[2]), others)
+        which = np.arange(count).reshape(len(places), len(cosines), _COUNT)
         alone = tuple(which[:, scale] for scale in range(len(cosines)))
         together = tuple(each[: len(departure.added)].reshape(1, -1) for each in alone)
-        left, start, mine = {}, len(flat), np.arange(len(flat))
+        left, start, mine = {}, count, np.arange(count)
         for name, theirs in beside.items():
             both = np.append(mine, np.arange(start, start + len(theirs)))
-            left[name] = cls(*_beyond(score[both], information[np.ix_(both, both)], len(flat)), alone, together)
+            left[name] = cls(*_beyond(score[both], information[np.ix_(both, both)], count), alone, together)
             start += len(theirs)
-        return cls(score[mine], information[: len(flat), : len(flat)], alone, together), left
+        return cls(score[mine], information[:count, :count], alone, together), left
 
     def misfits(self) -> list[float]:
         """Squares of the scores of every place that is in a gap of several, in units of what they have without one."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -175,6 +176,11 @@ class Coordinates:
     @property
     def start(self) -> Array:
         return self.mean if self.begun is None else self.begun
+
+    @cached_property
+    def precision(self) -> Array:
+        """1 / sd^2."""
+        return np.asarray(self.sd**-2.0, np.float64)
 
     def __len__(self) -> int:
         return len(self.symbols)

@@ -80,6 +80,26 @@ class Family:
         told = self._told(columns)
         return told[:-1, -1], told[:-1, :-1]
 
+    def scored_over_time(self, places: Array, courses: Array, columns: Array) -> tuple[Array, Array]:
+        """The same of places (P, J, K) that follow each of some courses (A, K), place by place, and then of columns.
+
+        V is that of every sample, so that rows of one are multiplied before courses are taken:
+
+            E V^{-1} E' of e_p phi_a and e_q phi_b:   sum_k phi_a(k) phi_b(k) e_p(k)' V^{-1} e_q(k)
+        """
+        (count, _, samples), each, held = places.shape, len(courses), len(self.nuisance)
+        seen, beside = _by_sample(self.white @ places), self._seen(columns)
+        gram = (seen @ seen.swapaxes(1, 2)).reshape(samples, count * count)
+        both = np.einsum("ak,bk->kab", courses, courses).reshape(samples, each * each)
+        inner = (gram.T @ both).reshape(count, count, each, each).swapaxes(1, 2).reshape(count * each, count * each)
+        across = np.concatenate([self.nuisance, beside])
+        held_by = _by_sample(across.reshape(len(across), -1, samples)) @ seen.swapaxes(1, 2)
+        between = np.tensordot(held_by, courses, axes=(0, 1)).reshape(len(across), count * each)
+        whole = np.block([[inner, between[held:].T], [between[held:], beside @ beside.T]])
+        hidden = np.concatenate([between[:held], self.nuisance @ beside.T], axis=1)
+        told = whole - _square(_beneath(self._factor, hidden))
+        return told[:-1, -1], told[:-1, :-1]
+
     def misfit(self, column: Array) -> float:
         """chi2 per degree of freedom that a column (J K) leaves, however large it is.
 
@@ -102,10 +122,21 @@ class Family:
 
         Reference: Woodbury MA. Inverting modified matrices. Princeton Statistical Research Group memo 42; 1950.
         """
-        every = np.concatenate([columns.reshape(-1, *self.rows.shape), self.rows[None]])
-        seen = _whitened(self.white, every)
-        hidden = _beneath(self._factor, self.nuisance @ seen.T)
-        return seen @ seen.T - hidden.T @ hidden
+        seen = self._seen(columns)
+        return seen @ seen.T - _square(_beneath(self._factor, self.nuisance @ seen.T))
+
+    def _seen(self, columns: Array) -> Array:
+        """Columns and, after them, the rows in units in which the noise is white (m + 1, J K)."""
+        return _whitened(self.white, np.concatenate([columns.reshape(-1, *self.rows.shape), self.rows[None]]))
+
+
+def _by_sample(values: Array) -> Array:
+    """(n, J, K) as (K, n, J)."""
+    return np.ascontiguousarray(values.transpose(2, 0, 1))
+
+
+def _square(columns: Array) -> Array:
+    return np.asarray(columns.T @ columns, np.float64)
 
 
 def _whitened(white: Array, values: Array) -> Array:

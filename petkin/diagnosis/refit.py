@@ -372,7 +372,7 @@ def _advanced(term: Term, part: str, by: Any) -> Term:
 def _prior(simulator: Simulator, state: State) -> tuple[Array, Array]:
     """1 / sd^2 of every coordinate, and the coordinates less their means."""
     own, shared, count = simulator.own, simulator.shared, len(simulator.channels)
-    penalty = [np.tile(own.sd**-2.0, count), shared.sd**-2.0]
+    penalty = [np.broadcast_to(own.precision, state.own.shape).ravel(), shared.precision]
     offset = [(state.own - own.mean).ravel(), state.shared - shared.mean]
     for term in state.terms:
         for part, width in parts(term, count):

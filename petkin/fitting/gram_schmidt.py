@@ -27,8 +27,8 @@ def scratch(frames: int, vectors: int, used: int, unknowns: int) -> tuple[Array,
 
 
 @njit(nogil=True, fastmath=_STRICT)
-def solve_curves(frames, start, offset, scale, operators, spans, axes, inverse, spread, lanes, answer):
-    """Fill `answer` (unknowns, covariance, WRSS, freedom, total, finite) with curves from `start` on, frames first.
+def solve_curves(frames, offset, scale, operators, spans, axes, inverse, spread, lanes, answer):
+    """Fill `answer` (unknowns, covariance, WRSS, freedom, total, finite) of curves (K, N), frames first.
 
     The other arguments are those of `LinearSolver`; `lanes` is `scratch`. Without own columns, covariance and freedom
     are left alone: all curves have the same.
@@ -39,7 +39,7 @@ def solve_curves(frames, start, offset, scale, operators, spans, axes, inverse, 
     for first in range(0, len(wrss), _LANES):
         width = min(_LANES, len(wrss) - first)
         here = slice(first, first + width)
-        _read(frames[:, start + first : start + first + width], offset, scale, y, sums)
+        _read(frames[:, here], offset, scale, y, sums)
         total[here] = sums[0, :width]
         finite[here] = sums[1, :width] == 0.0
         for v in range(last + 1):

@@ -179,8 +179,7 @@ class LinearSolver:
         same = vectors == 1  # no column is the curve's own: all curves have one covariance
         covariance = np.empty((unknowns, unknowns, 0 if same else n))
         solve_curves(
-            frames,
-            rows.start,
+            np.ascontiguousarray(frames[:, rows], np.float64),  # of one kind, so that one kind is compiled
             self.offset,
             self.scale,
             self.operators,

@@ -127,3 +127,14 @@ def test_a_size_is_read_though_nuisance_that_looks_like_it_was_told_too_large() 
     scores, information = family.scored(pattern.reshape(1, -1))
     assert float(scores[0] / information[0, 0]) < 8.0
     assert found.best["drift"].value > 14.0
+
+
+def test_places_that_follow_courses_score_as_their_columns_do() -> None:
+    rng = np.random.default_rng(4)
+    rows, noise = rng.standard_normal((5, 12)), rng.standard_normal((5, 5))
+    family = Family.of(rows, rng.standard_normal((9, 5, 12)), noise @ noise.T + np.eye(5), 1e-9)
+    places, courses = rng.standard_normal((4, 5, 12)), rng.standard_normal((3, 12))
+    others = rng.standard_normal((2, 60))
+    columns = np.concatenate([(places[:, None] * courses[None, :, None]).reshape(-1, 60), others])
+    for found, expected in zip(family.scored_over_time(places, courses, others), family.scored(columns), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)

@@ -28,7 +28,7 @@ _WAVES, _DECOYS = 128, 64
 #: Usual variance of the logarithm, and of how many contrasts it has the weight; so many independent ones are the decoys
 #: of a region.
 _USUAL, _TRUST, _INDEPENDENT = 0.01, 4.0, 8.0
-_ROUNDS, _TINY = 60, 1e-9
+_ROUNDS, _TINY, _ROUNDING = 60, 1e-9, 1e-13
 
 
 @dataclass(frozen=True)
@@ -193,8 +193,9 @@ def _variances(decoys: list[_Decoys], parameters: int) -> Array:
 
 
 def _along(decoy: _Decoys) -> tuple[Array, Array]:
-    """R of what varied, and the moments along its Q, both in units of the noise."""
-    factor = np.linalg.cholesky(decoy.noise)
+    """R of what varied, and the moments along its Q, both in units of the noise, which is no less than rounding."""
+    least = _ROUNDING * (np.trace(decoy.noise) + (decoy.varied**2).sum())
+    factor = np.linalg.cholesky(decoy.noise + least * np.eye(len(decoy.noise)))
     axes, varied = np.linalg.qr(solve_triangular(factor, decoy.varied, lower=True))
-    axes = solve_triangular(factor, axes, lower=True, trans="T")
+    axes = solve_triangular(factor, axes, lower=True, trans=1)
     return varied, axes.T @ decoy.moments @ axes

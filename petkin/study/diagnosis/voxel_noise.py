@@ -94,7 +94,7 @@ class VoxelNoise:
             own[:, mine] = weights[:, index[box][mine]]
             flat = own.reshape(len(own), -1)
             spread = _spreading(mine.shape, self.shared)
-            covariance = np.stack([flat @ spread(grid).ravel() for grid in own])
+            covariance = np.stack([flat @ spread(own[f]).ravel() for f in range(len(own))])
             found.append(0.5 * (covariance + covariance.T))
         return found
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 #: Below this spread (p_max - p_min) t the Taylor series is used, above it the recursion; both hold 1e-14 there.
 SERIES_SPREAD = 1.0
-#: Spread below which (1 - e^{-x}) / x is 1 to the last digit.
-SAME = 1e-17
 SERIES_TERMS = 18
 
 
@@ -76,9 +74,6 @@ def divided_differences(points, t):
 @njit()
 def _one(p, t, table, offsets, rows):
     m = len(p)
-    if m == 2:
-        x = (p[1] - p[0]) * t
-        return t * np.exp(p[1] * t) * (-np.expm1(-x) / x if x > SAME else 1.0)
     if (p[m - 1] - p[0]) * t < SERIES_SPREAD:
         return _series_of(p, 0, m, t, offsets, rows)
     for i in range(m):

@@ -368,3 +368,14 @@ def test_what_one_image_shows_is_a_gap_of_the_cohort(tmp_path: Path) -> None:
     assert leader["effects"] == ["motion_step"]
     assert leader["amplitude"]["unit"] == "mm"
     assert leader["amplitude"]["value"] == pytest.approx(3.0, abs=1.0)
+
+
+def test_a_region_of_one_voxel_is_judged_with_the_rest(tmp_path: Path) -> None:
+    """No contrast within it sees anything."""
+    study = spoilt(tmp_path)
+    path = next(study.rglob("*_dseg.nii.gz"))
+    image = nib.load(path)
+    labels = np.asarray(image.dataobj).copy()
+    labels[tuple(np.argwhere(labels == 2)[1:].T)] = 0
+    nib.save(nib.Nifti1Image(labels, image.affine, image.header), path)
+    assert diagnosed(study, tmp_path / "out").answer["verdict"]["kind"] == "none"

@@ -154,11 +154,13 @@ class _Decoys:
 
 
 def _decoys(voxels: Voxels, contrast: Weighed, cells: _Cells, waves: Array, fields: Array) -> list[_Decoys]:
-    """Decoys of one contrast, region by region."""
+    """Decoys of one contrast, region by region; none of a region that it does not weigh, as of one voxel."""
     found = []
     for r, size in enumerate(contrast.sizes):
         mine = voxels.place == r
         own = contrast.weights[mine]
+        if not own.any():
+            continue
         seen = np.stack([np.full(own.size, own.size**-0.5), own], axis=1)
         waved = own[:, None] * waves[cells.index[mine]]
         free = waved - seen @ (seen.T @ waved)
@@ -181,6 +183,8 @@ def _variances(decoys: list[_Decoys], parameters: int) -> Array:
 
     Reference: Zhou H, Hu L, Zhou J, Lange K. J Comput Graph Stat 2019;28:350-361 (each step is never less likely).
     """
+    if not decoys:
+        return np.full(parameters, _USUAL)
     each = [_along(decoy) for decoy in decoys]
     varied, moments = (np.stack(parts) for parts in zip(*each, strict=True))
     variance, one = np.full(parameters, _USUAL), np.eye(varied.shape[1])

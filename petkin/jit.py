@@ -9,11 +9,12 @@ after its types, so processes that meet write the same code twice or each its ow
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.types import unliteral
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -27,9 +28,19 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         dispatcher: Any = numba.njit(error_model="numpy", **options)(function)
         if dispatcher is not function:  # as it is where compiling is switched off
             dispatcher._cache = _Kept(function)  # what `enable_caching` does, with names of our own
+            dispatcher.get_call_template = _whatever_the_number(dispatcher.get_call_template)
         return dispatcher
 
     return compiled
+
+
+def _whatever_the_number(template: Callable[..., Any]) -> Callable[..., Any]:
+    """One version for all numbers that are written out in a call: the compiler would make one for each of them."""
+
+    def by_type(args: Sequence[Any], kws: Mapping[str, Any]) -> Any:
+        return template([unliteral(arg) for arg in args], {name: unliteral(arg) for name, arg in kws.items()})
+
+    return by_type
 
 
 class _Named(IndexDataCacheFile):

@@ -61,3 +61,16 @@ def test_division_is_numpys() -> None:
         return one / other
 
     assert ratio(1.0, 0.0) == np.inf
+
+
+def test_numbers_that_are_written_out_share_one_version() -> None:
+    @njit(forceinline=True)
+    def row(table, which, column):
+        return table[which, column]
+
+    @njit()
+    def total(table):
+        return row(table, 0, 1) + row(table, 1, 0) + row(table, which=1, column=1)
+
+    assert total(np.arange(4.0).reshape(2, 2)) == 1.0 + 2.0 + 3.0
+    assert len(row.signatures) == 1

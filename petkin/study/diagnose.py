@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from petkin.diagnosis import (
     Detected,
@@ -67,6 +68,8 @@ from petkin.study.sources import Source
 ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
 #: Share of the work that the noise of several scans is.
 _LAWS = 0.2
+#: Matrices here have some hundred rows: threads that share one gain nothing, and wait for each other on busy cores.
+_on_one_core = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,7 @@ class Diagnosed:
     remarks: tuple[Remark, ...] = ()
 
 
+@_on_one_core
 def diagnose_study(request: DiagnoseRequest, progress: Progress = silent) -> tuple[Diagnosed, ...]:
     """Diagnose every scan of a study and write JSON and HTML, each scan whole or not at all.
 
@@ -290,6 +294,7 @@ def _cohort(
     return Diagnosed("group", text, out / relative)
 
 
+@_on_one_core
 def foresee_study(request: DiagnoseRequest, progress: Progress = silent) -> tuple[tuple[str, tuple[Visible, ...]], ...]:
     """For every scan, its label and what its frames, regions and blood could ever tell of each effect.
 

@@ -48,9 +48,11 @@ def exp_divided_difference(points: tuple[Tensor | Any, ...], t: Tensor | Any) ->
     if len(points) == 1:
         return np.exp(points[0] * t)
     shape = np.broadcast_shapes(*map(np.shape, points), np.shape(t))
-    rows = np.stack([np.broadcast_to(np.asarray(p, np.float64), shape).ravel() for p in points], axis=-1)
-    times = np.ascontiguousarray(np.broadcast_to(np.asarray(t, np.float64), shape).ravel())
-    return divided_differences(rows, times).reshape(shape)
+    rows, times = np.empty((*shape, len(points))), np.empty(shape)
+    for i, point in enumerate(points):
+        rows[..., i] = point
+    times[...] = t
+    return divided_differences(rows.reshape(-1, len(points)), times.reshape(-1)).reshape(shape)
 
 
 @njit(nogil=True)

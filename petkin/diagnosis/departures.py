@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from petkin.diagnosis import evidence
 from petkin.diagnosis.families import Family, root
@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Cosines of time.
 _COUNT = 8
+#: Median of chi-square with so many degrees of freedom.
+_USUAL = 2.0 * gammaincinv(_COUNT / 2, 0.5)
 #: w^2 of departures that are as visible any way, and the least share of the largest information that a direction has.
 _WIDE, _LEAST = np.geomspace(0.1, 30.0, 12), 1e-9
 
@@ -143,7 +145,7 @@ def judge_departures(
         rng: randomness.
     """
     every, beside = zip(*[_Scored.of(each, named or {}) for each in departures], strict=True)
-    usual = np.median([m for each in every for m in each.misfits()]) / chi2.median(_COUNT)
+    usual = np.median([m for each in every for m in each.misfits()]) / _USUAL
     scale = max(float(usual), 1.0)
     drawn = [rng.standard_normal((draws, len(each.score))) @ root(each.information) for each in every]
     null = _total([each.evidence(scores, 1.0) for each, scores in zip(every, drawn, strict=True)])

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from petkin.diagnosis.nuisance import Projection
 from petkin.diagnosis.refit import Fit
@@ -38,7 +38,7 @@ _LITTLE, _MUCH = (0.7, 1.8), 30.0
 #: A claimed gap is at least this large (d'^2).
 _CLAIMED = 9.0
 _P = (np.arange(60) + 0.5) / 60
-_LITTLE_LEFT, _MUCH_LEFT = _LITTLE[0] * np.exp(_LITTLE[1] * norm.ppf(_P)), -_MUCH * np.log(_P)
+_LITTLE_LEFT, _MUCH_LEFT = _LITTLE[0] * np.exp(_LITTLE[1] * ndtri(_P)), -_MUCH * np.log(_P)
 _SHARES = (0.08, 0.5, 0.98)
 #: Width of a draw's share in the density of all, in their standard deviations, times the fifth root of their number.
 _SMOOTH = 1.06

@@ -26,7 +26,7 @@ class HybridField:
     weights: Float[Tensor, "W ..."]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "layers", self.residual.network.layers(self.weights))
+        object.__setattr__(self, "layers", self.residual.layers(self.weights))
 
     def __call__(
         self,

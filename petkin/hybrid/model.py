@@ -171,6 +171,6 @@ class Identifier(nn.Module):
         """
         if self.task.residual is None:
             raise ValueError(f"{self.task.name} has no residual.")
-        layers = self.task.residual.network.layers(self._weights(code)[..., None])
+        layers = self.task.residual.layers(self._weights(code)[..., None])
         seen = physics[..., None, :].expand(*states.shape[:-1], -1)
         return self.task.residual.value(layers, states, None, seen)

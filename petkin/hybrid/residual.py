@@ -123,14 +123,20 @@ class Residual:
     def network(self) -> Network:
         return Network(self.inputs, self.outputs, self.width, self.depth)
 
+    def layers(self, weights: Float[Tensor, "W ..."]) -> tuple[tuple[Tensor, Tensor], ...]:
+        """Layers of N; where f_NN rests, with the last bias at which N(0) is nought, whatever the one that is given."""
+        layers = self.network.layers(weights)
+        if not self.rests:
+            return layers
+        *first, (matrix, bias) = layers
+        nothing = bias.new_zeros(self.inputs, *[1] * (bias.ndim - 1))
+        return (*first, (matrix, -run_layers((*first, (matrix, torch.zeros_like(bias))), nothing)))
+
     def value(
         self, layers: tuple[tuple[Tensor, Tensor], ...], state: Tensor, forcing: Tensor | None, parameters: Tensor
     ) -> Float[Tensor, "r ..."]:
-        """f_NN."""
-        seen = self.sees(state, forcing, parameters)
-        value = run_layers(layers, seen)
-        if self.rests:
-            value = value - run_layers(layers, seen.new_zeros(len(seen), *[1] * (seen.ndim - 1)))
+        """f_NN, of the weights' `layers`."""
+        value = run_layers(layers, self.sees(state, forcing, parameters))
         return self.bound * torch.tanh(value / self.bound)
 
 

@@ -7,7 +7,7 @@ import torch
 
 from petkin.dynamics import Adaptive, Parameter, ParameterSet, System, solve
 from petkin.errors import InputError
-from petkin.hybrid import HybridField, HyperNetwork, Network, Residual, RungeKutta, into_rows
+from petkin.hybrid import HybridField, HyperNetwork, Network, Residual, RungeKutta, into_rows, run_layers
 
 from .oscillator import RESIDUAL, full, known
 
@@ -86,3 +86,19 @@ def test_the_flow_converges_with_fourth_order_to_the_adaptive_solution():
 def test_weights_of_another_size_are_refused():
     with pytest.raises(InputError, match="A network of 241 weights was given 240"):
         Network(1, 1).layers(torch.zeros(240, 1))
+
+
+@pytest.mark.parametrize(("dtype", "rtol"), [(torch.float32, 1e-5), (torch.float64, 1e-13)])
+@pytest.mark.parametrize("batch", [(), (4,), (2, 3)])
+def test_what_rests_is_the_networks_difference_from_nought(batch, dtype: torch.dtype, rtol: float) -> None:
+    residual = Residual(lambda s, u, p: s.movedim(-1, 0), 2, 1, into_rows(0), bound=2.0, rests=True)
+    generator = torch.Generator().manual_seed(4)
+    weights = torch.randn(residual.network.weights, *batch, generator=generator).to(dtype).requires_grad_()
+    state = torch.randn(*batch, 2, generator=generator).to(dtype)
+    layers, inputs = residual.network.layers(weights), state.movedim(-1, 0)
+    expected = 2.0 * torch.tanh((run_layers(layers, inputs) - run_layers(layers, torch.zeros_like(inputs))) / 2.0)
+    found = residual.value(residual.layers(weights), state, None, state)
+    torch.testing.assert_close(found, expected, rtol=rtol, atol=rtol)
+    (slopes,), (known,) = (torch.autograd.grad(value.sum(), weights) for value in (found, expected))
+    torch.testing.assert_close(slopes, known, rtol=10 * rtol, atol=10 * rtol)
+    assert not HybridField(None, residual, weights)(state[..., 0], 0.0 * state, None, state).any()

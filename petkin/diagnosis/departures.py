@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 #: Cosines of time.
 _COUNT = 8
-#: Median of chi-square with so many degrees of freedom.
+#: Median of chi-square with so many degrees of freedom: half of the regularised gamma function (DLMF 8.2.4) lies below.
 _USUAL = 2.0 * gammaincinv(_COUNT / 2, 0.5)
 #: w^2 of departures that are as visible any way, and the least share of the largest information that a direction has.
 _WIDE, _LEAST = np.geomspace(0.1, 30.0, 12), 1e-9

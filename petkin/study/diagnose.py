@@ -68,7 +68,8 @@ from petkin.study.sources import Source
 ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
 #: Share of the work that the noise of several scans is.
 _LAWS = 0.2
-#: Matrices here have some hundred rows: threads that share one gain nothing, and wait for each other on busy cores.
+#: From Python too, as `main` has it for commands: threads that share a small matrix wait for each other on busy cores,
+#: and sums of another order would change the last digits.
 _on_one_core = threadpool_limits.wrap(limits=1, user_api="blas")
 
 

@@ -28,12 +28,11 @@ demo: install
 test: install
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile
 
-# With room for what is young, the type checker collects garbage a tenth less.
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
-	NODE_OPTIONS=--max-semi-space-size=128 $(BIN)/pyright
+	$(BIN)/pyright
 
 bench: install
 	$(BIN)/petkin-bench speed fit $(if $(wildcard $(BENCH_DATA)),--data $(BENCH_DATA))

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from petkin.diagnosis import (
     Detected,
@@ -40,6 +39,7 @@ from petkin.io import (
 )
 from petkin.io.names import cohort_report_path, map_path, report_path
 from petkin.learning import Members, open_members
+from petkin.one_core import on_one_core
 from petkin.reporting import (
     CohortReport,
     render_cohort_report,
@@ -68,9 +68,6 @@ from petkin.study.sources import Source
 ALWAYS = frozenset({"second_tissue", "blood_volume", "parent_fraction", "arterial_delay", "vascular_trapping"})
 #: Share of the work that the noise of several scans is.
 _LAWS = 0.2
-#: From Python too, as `main` has it for commands: threads that share a small matrix wait for each other on busy cores,
-#: and sums of another order would change the last digits.
-_on_one_core = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ class Diagnosed:
     remarks: tuple[Remark, ...] = ()
 
 
-@_on_one_core
+@on_one_core
 def diagnose_study(request: DiagnoseRequest, progress: Progress = silent) -> tuple[Diagnosed, ...]:
     """Diagnose every scan of a study and write JSON and HTML, each scan whole or not at all.
 
@@ -295,7 +292,7 @@ def _cohort(
     return Diagnosed("group", text, out / relative)
 
 
-@_on_one_core
+@on_one_core
 def foresee_study(request: DiagnoseRequest, progress: Progress = silent) -> tuple[tuple[str, tuple[Visible, ...]], ...]:
     """For every scan, its label and what its frames, regions and blood could ever tell of each effect.
 

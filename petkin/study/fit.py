@@ -12,6 +12,7 @@ from petkin.inputs import InputFunction
 from petkin.io import AtomicFolder, Scratch, write_bytes
 from petkin.io.atomic import remove_orphans
 from petkin.io.names import record_path, report_path
+from petkin.one_core import on_one_core
 from petkin.study.arterial import arterial_input
 from petkin.study.fit_scan import Progress, ScanFit, fit_scan
 from petkin.study.outcome import Fitted, outcomes
@@ -50,6 +51,7 @@ def _silent(step: str, done: float) -> None:
     """Tells nobody."""
 
 
+@on_one_core
 def fit_study(
     request: FitRequest, progress: Progress = _silent, execution: Execution | None = None
 ) -> tuple[Fitted, ...]:
@@ -90,6 +92,7 @@ def fit_study(
     return fitted
 
 
+@on_one_core
 def fit_job(job: Job, progress: Progress, spread: Spread = map, helpers: int = 1) -> Fitted:
     """Fit one scan and write its results, unless they are there.
 

@@ -11,7 +11,6 @@ import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from petkin.errors import InputError
 from petkin.study.diagnose import Diagnosed, diagnose_study, foresee_study
@@ -93,19 +92,6 @@ def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Diagnosed]:
     folder = tmp_path_factory.mktemp("paper")
     study = simulated(folder, preset="paper", tracer="paper", model="2TCM", noise=0.0)
     return study, diagnosed(study, folder / "out", model="1tcm")
-
-
-@pytest.mark.parametrize("asked", [diagnose_study, foresee_study])
-def test_matrices_are_left_to_one_core(asked: Any, tmp_path: Path) -> None:
-    def cores() -> set[int]:
-        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
-
-    seen: set[int] = set()
-    with threadpool_limits(2, "blas"):
-        with pytest.raises(InputError):
-            asked(DiagnoseRequest(tmp_path / "nothing"), lambda *_: seen.update(cores()))
-        assert cores() == {2}
-    assert seen == {1}
 
 
 def test_the_contracts_example_passes_the_schema() -> None:

@@ -21,6 +21,8 @@ Values = Callable[[Array, NDArray[np.intp]], Array]
 Jacobian = Callable[[Array, NDArray[np.intp]], tuple[Array, Array]]
 
 _MAX_STEPS = 200
+#: 1/min; stands for a rate without an end.
+_FASTEST = 1e6
 
 
 def polish_explicit(task: BoxTask, z: Array, sizes: Array, start: Array, penalty: float) -> Fitted:
@@ -34,9 +36,11 @@ def polish_explicit(task: BoxTask, z: Array, sizes: Array, start: Array, penalty
         parts = model_jacobian(task.model, task.packed, theta), _excess(task, sizes[rows], theta, penalty)
         return np.concatenate([p[0] for p in parts], axis=1), np.concatenate([p[1] for p in parts], axis=1)
 
-    extended = np.concatenate([z, np.zeros((task.model.free_rates + task.model.trapping, z.shape[1]))])
-    theta, cost, converged = polish(values, jacobian, extended, sizes, start, task.lower, task.upper, task.tolerance)
-    return theta, cost - (_excess(task, sizes, theta, penalty)[0] ** 2).sum(axis=1), converged
+    walls = 2 * (task.model.free_rates + task.model.trapping)
+    extended = np.concatenate([z, np.zeros((walls, z.shape[1]))])
+    lower, upper = task.lower, task.upper
+    theta, cost, converged = polish(values, jacobian, extended, sizes, start, lower, upper, task.tolerance, walls)
+    return theta, cost - (np.maximum(_excess(task, sizes, theta, penalty)[0], 0.0) ** 2).sum(axis=1), converged
 
 
 def best_polish(
@@ -90,6 +94,7 @@ def polish(
     lower: Array,
     upper: Array,
     tolerance: float,
+    walls: int = 0,
 ) -> Fitted:
     """Projected Levenberg-Marquardt from one start a curve.
 
@@ -98,6 +103,8 @@ def polish(
         jacobian_of: the same -> model (n, R) and its Jacobian (n, R, P).
         z, sizes, lower, upper, tolerance: as in `best_polish`.
         start: parameters (N, P), inside the box.
+        walls: how many of the last values are distances beyond a wall, which count where they are positive. A step that
+            would pass a wall is taken along it.
 
     Returns:
         parameters (N, P), costs (N,), converged (N,).
@@ -107,8 +114,8 @@ def polish(
     lower, upper = np.broadcast_to(lower, theta.shape), np.broadcast_to(upper, theta.shape)
     span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     every = np.arange(len(theta))
-    cost = ((curves - values_of(theta, every)) ** 2).sum(axis=1)
-    damping = np.full(len(theta), 1e-3)
+    cost = _cost(curves, values_of(theta, every), walls)
+    damping, growth = np.full(len(theta), 1e-3), np.full(len(theta), 2.0)
     active = np.ones(len(theta), bool)
     for _ in range(_MAX_STEPS):
         rows = np.flatnonzero(active)
@@ -117,41 +124,67 @@ def polish(
         here = theta[rows]
         values, jacobian = jacobian_of(here, rows)
         residual = np.ascontiguousarray(curves[rows] - values)
-        gradient = np.einsum("nrp,nr->np", jacobian, residual)
+        counts = np.ones(residual.shape, bool)
+        if walls:
+            counts[:, -walls:] = values[:, -walls:] > 0.0
+        gradient = np.einsum("nrp,nr->np", jacobian, residual * counts)
         low, high, wide = lower[rows], upper[rows], span[rows]
         held = ((here <= low + ON_BOUND * wide) & (gradient <= 0)) | (
             (here >= high - ON_BOUND * wide) & (gradient >= 0)
         )
         jacobian *= ~held[:, None, :]
-        gradient *= ~held
-        normal = np.einsum("nrp,nrq->npq", jacobian, jacobian)
-        scale = np.einsum("npp->np", normal)
-        safe = np.where(scale > 0, scale, 1.0)
-        damped = (
-            normal
-            + np.eye(here.shape[1]) * (damping[rows, None] * scale + np.where(scale > 0, 1e-14 * safe, 1.0))[:, :, None]
-        )
-        step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], low, high) - here
-        expected = 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
-        trial_cost = ((curves[rows] - values_of(here + step, rows)) ** 2).sum(axis=1)
+        step, expected = _step(residual * counts, jacobian * counts[..., None], damping[rows], here, low, high)
+        if walls:
+            ahead = np.einsum("nrp,np->nr", jacobian[:, -walls:], step) > residual[:, -walls:]
+            met = ahead & ~counts[:, -walls:]
+            if met.any():
+                counts[:, -walls:] |= met
+                step, expected = _step(residual * counts, jacobian * counts[..., None], damping[rows], here, low, high)
+                expected -= ((met * residual[:, -walls:]) ** 2).sum(axis=1)
+        trial_cost = _cost(curves[rows], values_of(here + step, rows), walls)
         better = trial_cost < cost[rows]
         gain = cost[rows] - trial_cost
         theta[rows[better]] = (here + step)[better]
         cost[rows[better]] = trial_cost[better]
-        # Steps that gain much less than expected overshoot: less damping would make them bounce from side to side.
-        factor = np.where(gain > 0.75 * expected, 0.1, np.where(gain > 0.25 * expected, 1.0, 4.0))
-        damping[rows] = np.maximum(damping[rows] * np.where(better, factor, 10.0), np.where(better, 1e-12, 1e-4))
+        # Nielsen's rule: less damping the more of the expected gain a step brings, more and more where steps fail.
+        share = gain / np.where(expected > 0.0, expected, 1.0)
+        factor = np.where(better, np.maximum(1.0 / 3.0, 1.0 - (2.0 * share - 1.0) ** 3), growth[rows])
+        damping[rows] = np.maximum(damping[rows] * factor, np.where(better, 1e-12, 1e-6))
+        growth[rows] = np.where(better, 2.0, 2.0 * growth[rows])
         small = np.abs(expected) <= tolerance * (cost[rows] + np.maximum(outside[rows], 0.0)) + 1e-24 * sizes[rows]
         active[rows[small | (damping[rows] > 1e10)]] = False
     return theta, cost + outside, ~active
 
 
+def _cost(curves: Array, values: Array, walls: int) -> Array:
+    """Sums of squares (n,)."""
+    left = curves - values
+    if walls:
+        left[:, -walls:] = np.minimum(left[:, -walls:], 0.0)
+    return np.asarray((left**2).sum(axis=1))
+
+
+def _step(
+    residual: Array, jacobian: Array, damping: Array, here: Array, low: Array, high: Array
+) -> tuple[Array, Array]:
+    """A damped Gauss-Newton step, clipped to the box (n, P), and what it is expected to gain (n,)."""
+    gradient = np.einsum("nrp,nr->np", jacobian, residual)
+    normal = np.einsum("nrp,nrq->npq", jacobian, jacobian)
+    scale = np.einsum("npp->np", normal)
+    safe = np.where(scale > 0, scale, 1.0)
+    damped = (
+        normal + np.eye(here.shape[1]) * (damping[:, None] * scale + np.where(scale > 0, 1e-14 * safe, 1.0))[:, :, None]
+    )
+    step = np.clip(here + np.linalg.solve(damped, gradient[..., None])[..., 0], low, high) - here
+    return step, 2.0 * (gradient * step).sum(axis=1) - np.einsum("np,npq,nq->n", step, normal, step)
+
+
 def _excess(task: BoxTask, sizes: Array, theta: Array, penalty: float) -> tuple[Array, Array]:
-    """How far every rate leaves its interval, weighted, (N, m), and its derivatives (N, m, P)."""
+    """How far every rate lies below and above its interval, weighted, (N, 2m), and its derivatives (N, 2m, P)."""
     count, (slow, fast) = task.model.rates, task.rates
     found, chain = derivatives(lambda *k: tuple(a for _, a in task.model.impulse(*k)), theta[:, :count])
-    below, above = np.minimum(found - slow, 0.0), np.maximum(found - fast, 0.0)
-    weight = np.sqrt(penalty * sizes)[:, None] * np.where(below < 0, 1.0 / max(slow, 1e-6), 1.0 / fast)
-    jacobian = np.zeros((*found.shape, theta.shape[1]))
-    jacobian[:, :, :count] = np.where((below + above != 0)[..., None], weight[..., None] * chain, 0.0)
-    return np.ascontiguousarray(weight * (below + above)), jacobian
+    firm = np.sqrt(penalty * sizes)[:, None]
+    ends = ((-firm / max(slow, 1e-6), slow), (firm / fast, min(fast, _FASTEST)))
+    jacobian = np.zeros((len(theta), 2 * found.shape[1], theta.shape[1]))
+    jacobian[:, :, :count] = np.concatenate([weight[..., None] * chain for weight, _ in ends], axis=1)
+    return np.concatenate([weight * (found - end) for weight, end in ends], axis=1), jacobian

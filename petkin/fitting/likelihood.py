@@ -80,7 +80,7 @@ class Likelihood:
 
     def _table(self, points: list[tuple[float, float, Array]]) -> Array:
         """Value, S, and whether a rate has reached the end of its interval (n, 3), by value, each value once."""
-        edge = (self.outside(np.stack([theta for _, _, theta in points]))[0] != 0.0).any(axis=1)
+        edge = np.asarray((self.outside(np.stack([theta for _, _, theta in points]))[0] > 0.0).any(axis=1))
         table = np.array(sorted((g, s, float(e)) for (g, s, _), e in zip(points, edge)))
         span = table[-1, 0] - table[0, 0]
         return table[np.concatenate([[True], np.diff(table[:, 0]) > 1e-7 * span])]
@@ -112,7 +112,7 @@ class Likelihood:
                 return np.column_stack([curve, held, beyond]), all_slopes
 
         sizes = np.full(len(lanes), self.size)
-        theta, _, _ = polish(values, jacobian, z, sizes, start, box.lower, box.upper, _TOLERANCE)
+        theta, _, _ = polish(values, jacobian, z, sizes, start, box.lower, box.upper, _TOLERANCE, walls=2)
         outside = self.size - float(self.z @ self.z)
         cost = ((self.z - model_values(model, self.packed, theta)) ** 2).sum(axis=1) + outside
         reached = self.quantities(theta)[0][np.arange(len(lanes)), which]
@@ -131,19 +131,17 @@ class Likelihood:
         return np.concatenate([theta, macros], axis=1), np.concatenate([own, wide], axis=1)
 
     def outside(self, theta: Array) -> tuple[Array, Array]:
-        """How far the slowest and the fastest rate have left their interval, held there like g (N, 2); slopes."""
+        """How far the fastest and the slowest rate lie beyond their ends, held there like g (N, 2); slopes."""
         model, (slow, fast) = self.settings.model, self.settings.rate_bounds
         firm = _HOLD * np.sqrt(self.variance)
         rates, chain = derivatives(lambda *k: tuple(a for _, a in model.impulse(*k)), theta[:, : model.rates])
-        first, last = rates[:, 0], rates[:, model.free_rates - 1]
-        over = np.maximum(np.log(first / fast), 0.0)
-        under = (
-            np.minimum(np.log(np.maximum(last, 1e-12) / slow), 0.0) if slow > 0 and not model.trapping else 0.0 * last
-        )
+        first, last = (np.maximum(rates[:, i], 1e-12) for i in (0, model.free_rates - 1))
         slopes = np.zeros((len(theta), 2, theta.shape[1]))
-        slopes[:, 0, : model.rates] = np.where(over > 0, firm / first, 0.0)[:, None] * chain[:, 0]
-        steep = np.where(under < 0, firm / np.maximum(last, 1e-12), 0.0)
-        slopes[:, 1, : model.rates] = steep[:, None] * chain[:, model.free_rates - 1]
+        slopes[:, 0, : model.rates] = (firm / first)[:, None] * chain[:, 0]
+        over, under = np.log(first / fast), np.full(len(theta), -1.0)
+        if slow > 0 and not model.trapping:
+            under = np.log(slow / last)
+            slopes[:, 1, : model.rates] = -(firm / last)[:, None] * chain[:, model.free_rates - 1]
         return firm * np.column_stack([over, under]), np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
 
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
 from petkin.fitting.box import BoxTask, polish_in_box
-from petkin.fitting.explicit import Fitted, better_of, polish_explicit
+from petkin.fitting.explicit import polish_explicit
 from petkin.fitting.sensitivity import blood_values, model_values
 from petkin.fitting.table import Compression, project_rows
 from petkin.kinetics import CompartmentModel
+from petkin.levenberg_marquardt import Fitted, better_of
 
 Array = NDArray[np.float64]
 

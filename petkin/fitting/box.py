@@ -36,11 +36,10 @@ from petkin.fitting.table import Compression
 from petkin.fitting.tape import run
 from petkin.jit import njit
 from petkin.kinetics import CompartmentModel
+from petkin.levenberg_marquardt import ON_BOUND
 
 Array = NDArray[np.float64]
 
-#: Below this share of a parameter's range (or its own size) a value counts as on its bound.
-ON_BOUND = 1e-7
 _STRICT = {"contract", "nsz"}
 
 

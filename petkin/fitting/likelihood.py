@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from petkin.fitting.explicit import polish
 from petkin.fitting.f_distribution import quantile
 from petkin.fitting.nonlinear import NonlinearSettings
 from petkin.fitting.projection import project_curves
 from petkin.fitting.results import FitResult
 from petkin.fitting.sensitivity import derivatives, model_jacobian, model_values
 from petkin.fitting.table import Compression
+from petkin.levenberg_marquardt import polish
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from petkin.dynamics import ParameterSet
 from petkin.errors import InputError
 from petkin.fitting.bounded import fit_in_box
-from petkin.fitting.box import ON_BOUND
 from petkin.fitting.curves import check_shapes
 from petkin.fitting.device_tables import CHUNK, DeviceTables
 from petkin.fitting.inversion import fill_parameters
@@ -27,6 +26,7 @@ from petkin.fitting.wall import WallTables, search_beside_wall, wall_tables
 from petkin.imaging import FrameObservation
 from petkin.inputs.input_function import InputFunction
 from petkin.kinetics import CompartmentModel
+from petkin.levenberg_marquardt import ON_BOUND
 
 Array = NDArray[np.float64]
 

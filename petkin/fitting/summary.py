@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
-from petkin.fitting.box import ON_BOUND
 from petkin.fitting.covariance import Limits, model_errors
 from petkin.fitting.dense import dense_errors
 from petkin.fitting.parts import in_parts
 from petkin.fitting.results import Column, Estimate, FitResult, Status
 from petkin.fitting.table import Compression
 from petkin.kinetics import CompartmentModel
+from petkin.levenberg_marquardt import ON_BOUND
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

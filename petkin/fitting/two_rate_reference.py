@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petkin.dynamics import ParameterSet
-from petkin.fitting.box import ON_BOUND
 from petkin.fitting.explicit import best_polish
 from petkin.fitting.one_rate_fit import frame_values, frames_first
 from petkin.fitting.projection import project_curves
@@ -29,6 +28,7 @@ from petkin.fitting.sensitivity import derivatives, read_basis
 from petkin.fitting.summary import akaike
 from petkin.fitting.table import Compression, project_rows
 from petkin.kinetics import TWO_TISSUE
+from petkin.levenberg_marquardt import ON_BOUND
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Starts that are polished, out of the grid; step of difference quotients, as a share of the parameter, or of 1 where
-#: that is more.
-_POLISHED, _STEP = 4, float(np.sqrt(np.finfo(float).eps))
+from petkin.levenberg_marquardt import polish
 
-Curve = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+#: Starts that are polished, out of the grid; imaginary step that slopes are read from (Squire & Trapp 1998,
+#: doi:10.1137/S003614459631241X); a fit ends where a step is expected to gain less than this share of the squares.
+_POLISHED, _STEP, _TOLERANCE = 4, 1e-100, 1e-12
+
+Curve = Callable[[NDArray[np.float64], NDArray[Any]], NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,8 @@ def fit_curve(
     """Least squares of curve(times, parameters) - values within bounds: a grid of starts, the best few of it polished.
 
     Args:
-        curve: function of times (samples,) and parameters (parameters,), or of many at once (parameters, n, 1).
+        curve: analytic function of times (samples,) and parameters (parameters,), or of many at once (parameters, n,
+            1), which may be complex.
         times: (samples,).
         values: (samples,).
         bounds: lower and upper bound of each parameter.
@@ -61,34 +64,34 @@ def fit_curve(
     Returns:
         The best of the polished fits.
     """
-    from scipy.optimize import least_squares
-
     lower, upper = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
 
-    def left(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        return curve(times, p) - values
+    def values_of(p: NDArray[np.float64], _: NDArray[np.intp]) -> NDArray[np.float64]:
+        return np.broadcast_to(curve(times, p.T[:, :, None]), (len(p), times.size))
 
-    def slopes(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        step = _STEP * np.maximum(1.0, np.abs(p))
-        step = np.where(p + step > upper, -step, step)
-        moved = p[:, None] + np.diag(step)
-        return ((curve(times, moved[:, :, None]) - curve(times, p)) / step[:, None]).T
+    def jacobian_of(p: NDArray[np.float64], _: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        moved = p[:, :, None] + 1j * _STEP * np.eye(p.shape[1])
+        there = curve(times, moved.transpose(1, 0, 2)[..., None])
+        return np.real(there[:, 0]), np.moveaxis(np.imag(there) / _STEP, 1, 2)
 
     grid = np.clip(np.array(list(itertools.product(*starts))), lower, upper)
-    grid = grid[np.argsort(np.square(left(grid.T[:, :, None])).sum(axis=-1), kind="stable")]
-    scale = np.maximum(np.abs(grid[0]), 1e-3)
-    how: dict[str, Any] = {"jac": slopes, "bounds": (lower, upper), "x_scale": scale, "xtol": 1e-12, "ftol": 1e-12}
-    results = [least_squares(left, start, **how) for start in grid[:_POLISHED]]
-    best = min(results, key=lambda result: result.cost)
-    rss = float(2 * best.cost)
-    errors = _standard_errors(best.jac, rss, best.active_mask)
-    return CurveFit(best.x, errors, rss, aicc(rss, times.size, best.x.size))
+    every = np.arange(len(grid))
+    off = np.square(values_of(grid, every) - values).sum(axis=1)
+    first = grid[np.argsort(off, kind="stable")[:_POLISHED]]
+    given, sizes = np.tile(values[:, None], len(first)), np.full(len(first), values @ values)
+    found, costs, _ = polish(values_of, jacobian_of, given, sizes, first, lower, upper, _TOLERANCE)
+    best = found[[int(costs.argmin())]]
+    at, jacobian = jacobian_of(best, every[:1])
+    rss = float(np.square(at[0] - values).sum())
+    on_bound = (best[0] <= lower) | (best[0] >= upper)
+    errors = _standard_errors(jacobian[0], rss, on_bound)
+    return CurveFit(best[0], errors, rss, aicc(rss, times.size, lower.size))
 
 
-def _standard_errors(jacobian: NDArray[np.float64], rss: float, active: NDArray[np.int_]) -> NDArray[np.float64]:
+def _standard_errors(jacobian: NDArray[np.float64], rss: float, on_bound: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Linearised standard errors of the parameters that rest on no bound."""
-    errors = np.full(active.size, np.nan)
-    free = active == 0
+    errors = np.full(on_bound.size, np.nan)
+    free = ~on_bound
     degrees = jacobian.shape[0] - int(free.sum())
     if degrees <= 0 or not free.any():
         return errors

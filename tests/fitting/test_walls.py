@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from petkin.fitting.explicit import polish
+from petkin.levenberg_marquardt import polish
 
 Array = NDArray[np.float64]
 RADIUS = 2.0

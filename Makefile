@@ -24,9 +24,10 @@ demo: install
 	rm -rf petkin-demo
 	$(BIN)/petkin demo --out petkin-demo
 
-# Two workers share the cores; libraries that take all of them for each would wait for one another.
+# Two workers share the cores; libraries that take all of them for each would wait for one another. What goes out first
+# is tests/conftest.py's to say.
 test: install
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: install
 	$(BIN)/ruff check .

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections import Counter
 from pathlib import Path
 
 import numba
@@ -11,6 +12,34 @@ import pytest
 import torch
 
 _BESIDE_THE_PROJECT = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+#: Files of few tests that take half a minute and more, and with how many tests they go out to a worker.
+_LONG = frozenset(
+    {
+        "test_cohort",
+        "test_diagnose_blood",
+        "test_diagnose_shared_law",
+        "test_diagnose_states",
+        "test_diagnose_study",
+        "test_documented_commands",
+        "test_learning",
+        "test_notebooks",
+        "test_profile",
+        "test_real_scans",
+        "test_torchrun",
+        "test_tracer",
+        "test_withheld",
+        "test_withheld_cases",
+    }
+)
+_EARLY = 20
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files of many tests first, and none that takes long near the end, so that workers end together."""
+    tests = Counter(item.path for item in items)
+    items.sort(key=lambda item: -max(tests[item.path], _EARLY * (item.path.stem in _LONG)))
 
 
 def pytest_collection_finish() -> None:

@@ -92,7 +92,7 @@ def polish(
         theta[rows[better]] = (here + step)[better]
         cost[rows[better]] = trial_cost[better]
         # Nielsen's rule: less damping the more of the expected gain a step brings, more and more where steps fail.
-        share = gain / np.where(expected > 0.0, expected, 1.0)
+        share = np.clip(gain, 0.0, 2.0 * np.maximum(expected, 0.0)) / np.where(expected > 0.0, expected, 1.0)
         factor = np.where(better, np.maximum(1.0 / 3.0, 1.0 - (2.0 * share - 1.0) ** 3), growth[rows])
         damping[rows] = np.maximum(damping[rows] * factor, np.where(better, 1e-12, 1e-6))
         growth[rows] = np.where(better, 2.0, 2.0 * growth[rows])

@@ -139,6 +139,12 @@ class Residual:
         value = run_layers(layers, self.sees(state, forcing, parameters))
         return self.bound * torch.tanh(value / self.bound)
 
+    def rows(
+        self, layers: tuple[tuple[Tensor, Tensor], ...], state: Tensor, forcing: Tensor | None, parameters: Tensor
+    ) -> tuple[Tensor, ...]:
+        """The same row by row, of which each knows what it alone comes from."""
+        return self.value(layers, state, forcing, parameters).unbind()
+
 
 def into_rows(*rows: int) -> Action:
     """f_NN adds to the derivatives of these states; the others keep theirs: phi' is the velocity, whatever it says."""

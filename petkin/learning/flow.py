@@ -117,9 +117,10 @@ def _value_and_jacobian(
     """f, which carries gradients to its weights, and df/dz, which does not, at every node."""
     with torch.enable_grad():
         at = states.detach().requires_grad_()
-        value = residual.value(layers, at.movedim(0, -1), *seen)
-        rows = [torch.autograd.grad(part.sum(), at, retain_graph=True)[0] for part in value]
-    return value, torch.stack(rows)
+        rows = residual.rows(layers, at.movedim(0, -1), *seen)
+        slopes = [torch.autograd.grad(row.sum(), at, retain_graph=True)[0] for row in rows]
+        value = torch.stack(rows)
+    return value, torch.stack(slopes)
 
 
 @dataclass(frozen=True)

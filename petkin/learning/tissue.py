@@ -77,8 +77,14 @@ class Held(Residual):
         self, layers: tuple[tuple[Tensor, Tensor], ...], state: Tensor, forcing: Tensor | None, parameters: Tensor
     ) -> Float[Tensor, "r ..."]:
         """(k2 C_b, f_NN)."""
-        held = super().value(layers, state, forcing, parameters)
-        return torch.cat([(parameters[..., 1] * state[..., 1]).expand_as(held[0])[None], held])
+        return torch.stack(self.rows(layers, state, forcing, parameters))
+
+    def rows(
+        self, layers: tuple[tuple[Tensor, Tensor], ...], state: Tensor, forcing: Tensor | None, parameters: Tensor
+    ) -> tuple[Tensor, ...]:
+        """The same, k2 C_b without the network."""
+        (held,) = super().value(layers, state, forcing, parameters)
+        return (parameters[..., 1] * state[..., 1]).expand_as(held), held
 
 
 #: Forms of f_NN: of the tissue, as published; of tissue and plasma, and with a compartment that holds tracer back, both

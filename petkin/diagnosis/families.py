@@ -173,6 +173,6 @@ def _beneath(factor: Array, columns: Array) -> Array:
 
 
 def root(covariance: Array) -> Array:
-    """A of A'A = covariance, to 1e-12 of its largest variance, so that none need be above nought."""
-    least = max(1e-12 * float(np.diag(covariance).max(initial=0.0)), _TINY)
-    return np.asarray(np.linalg.cholesky(covariance + least * np.eye(len(covariance))).T, np.float64)
+    """A of A'A = covariance."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T

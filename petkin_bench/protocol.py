@@ -55,7 +55,7 @@ class Preset:
         return self.settings.get(system, self.settings[""])
 
 
-_TINY = Settings(steps=24, dynamics=6, series=6)
+_TINY = Settings(steps=60, dynamics=6, series=6)
 _CPU = Settings(steps=3300, horizon=6, curriculum=0.3)
 PRESETS = (
     Preset(

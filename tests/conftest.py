@@ -14,7 +14,7 @@ import torch
 _BESIDE_THE_PROJECT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
-#: Files of few tests that take half a minute and more, and with how many tests they go out to a worker.
+#: Files of few tests that take half a minute and more, and how many tests they count as, at least.
 _LONG = frozenset(
     {
         "test_cohort",

@@ -73,10 +73,7 @@ class Family:
         left = more @ rows - hidden[:, :-1].T @ hidden[:, -1]
         share = times * max(_SHARES, key=lambda share: _gained(share * left, share**2 * beyond))
         both = np.block([[self.inner, share * between], [share * between.T, share**2 * inner]])
-        held = np.empty((len(both), more.shape[1]))
-        held[: len(self.nuisance)] = self.nuisance
-        np.multiply(share, more, out=held[len(self.nuisance) :])
-        return replace(self, nuisance=held, inner=both)
+        return replace(self, nuisance=np.concatenate([self.nuisance, share * more]), inner=both)
 
     def scored(self, columns: Array) -> tuple[Array, Array]:
         """E C^{-1} c and E C^{-1} E' of columns E (m, J K)."""

@@ -1,6 +1,6 @@
 """Projected Levenberg-Marquardt in a box, on residuals themselves: past the rounding of inner products, and slower.
 
-Besides those of the curve there is one residual a rate, for how far it leaves its interval. See `box` for the method.
+Besides those of the curve there are two residuals a rate, walls at the ends of its interval. See `box` for the method.
 """
 
 from __future__ import annotations

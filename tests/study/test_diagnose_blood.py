@@ -43,7 +43,7 @@ def blood(times: np.ndarray, scatter: float = 0.0, odds: float = 0.0, seed: int 
         "whole_blood_radioactivity": 0.7 * plasma,
         "metabolite_parent_fraction": 1 / (1 + np.exp(-logit)),
     }
-    return from_blood(pd.DataFrame(columns), parent_fraction="hill")
+    return from_blood(pd.DataFrame(columns))
 
 
 def candidates(simulator: RegionalSimulator) -> tuple[Hypothesis, ...]:
